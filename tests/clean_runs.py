@@ -32,7 +32,6 @@ def epoch_of(simulator: TightlyCoupledSimulator) -> int:
 
 
 def advance_to(simulator: TightlyCoupledSimulator, time_s: float) -> None:
-    """Run up to a time, its update included."""
     epoch = round(time_s / simulator.setup.scenario.epoch_interval_s)
     simulator.run_filter_only(epoch - epoch_of(simulator))
 

@@ -49,7 +49,6 @@ os.environ["MPLBACKEND"] = WINDOW
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Let one try more moments of an interrupt than usual, and the long lists."""
     parser.addoption("--interrupts", type=int, default=20, help="moments of an interrupt")
     parser.addoption("--nightly", action="store_true", help="also the long lists, marked nightly")
 
@@ -61,6 +60,16 @@ def _window_of_the_tests() -> Iterator[None]:
     matplotlib = sys.modules.get("matplotlib")
     if matplotlib is not None and matplotlib.get_backend() != WINDOW:
         matplotlib.use(WINDOW)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _torch_threads() -> Iterator[None]:
+    """Put back the number of torch's threads, which trainings set for their process."""
+    torch = sys.modules.get("torch")
+    before = torch.get_num_threads() if torch is not None else 0
+    yield
+    if torch is not None:
+        torch.set_num_threads(before)
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -42,7 +42,6 @@ TESTS = (
 
 
 def host_features() -> set[str]:
-    """What this processor can execute, by LLVM's names."""
     return {name for name, has in get_host_cpu_features().items() if has}
 
 

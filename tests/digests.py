@@ -75,8 +75,6 @@ DETECTOR = {"name": "ewma", "thresholds": "nominal"}
 
 
 class Digests:
-    """A digest of every field."""
-
     def __init__(self) -> None:
         self._digests: dict[str, Any] = defaultdict(hashlib.sha256)
 
@@ -126,12 +124,10 @@ def run_digests(setup: TightlyCoupledSetup, receivers: int) -> dict[str, str]:
 
 
 def setup_of(name: str) -> TightlyCoupledSetup:
-    """What is played in a run."""
     return TightlyCoupledSetup(timeline=TIMELINE, detector=DETECTOR, **RUNS[name])
 
 
 def all_digests() -> dict[str, dict[str, str]]:
-    """By run, and by how many receivers it has."""
     found = {}
     for name in RUNS:
         setup = setup_of(name)

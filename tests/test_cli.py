@@ -26,7 +26,7 @@ WORLD = ("run", "render", "tune", "bench", "limits", "dataset")
 """Commands with the options of a world."""
 
 
-def test_help_of_every_command():
+def test_help_of_every_command_with_the_options_of_the_world_where_it_plays():
     text = call("--help").output
     for command in (*WORLD, "list", "card", "protect", "game", "report", "warmup"):
         assert command in text
@@ -34,9 +34,6 @@ def test_help_of_every_command():
         assert page.exit_code == 0
         assert ("--set" in page.output) == (command in WORLD)
     assert call("--version").output.strip() == __version__
-
-
-def test_the_options_of_the_world_are_those_of_every_command_that_plays():
     group = typer.main.get_group(app)
     names = [field.name for field in dataclasses.fields(WorldOptions) if field.name != "context"]
     for command in WORLD:

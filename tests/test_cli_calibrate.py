@@ -43,7 +43,7 @@ def test_a_calibration_is_made_shown_and_used(folder):
     assert "20 false alarms an hour, 13 % of runs of 25 s (40 clean runs" in played.stdout
 
 
-def test_a_degenerate_statistic_that_was_named_is_a_failure():
+def test_a_degenerate_statistic_that_was_named_is_a_failure_and_rescaled_is_none():
     result = call(*DEGENERATE, "--detector", "cusum", *CHI2, "--json")
     assert result.exit_code == 1, result.output
     found = json.loads(result.stdout)
@@ -51,9 +51,6 @@ def test_a_degenerate_statistic_that_was_named_is_a_failure():
     assert "the statistic of cusum is degenerate" in found["notes"][0]
     # of `all` it is left out
     assert call(*DEGENERATE, "--detector", "all").exit_code == 0
-
-
-def test_rescaled_takes_of_all_those_that_it_is_for():
     line = [*DEGENERATE, "--rescaled", "--json", "--detector", "all"]
     rows = read(*line)["calibrations"]
     assert sorted(row["detector"] for row in rows) == ["cusum", "lag-cusum"]

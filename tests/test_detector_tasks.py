@@ -103,7 +103,7 @@ def test_a_learned_detector_is_warned_of_where_it_has_met_what_is_held_out(key, 
         DetectorEvaluator(key).worlds.build_detectors([guard, "never"])
 
 
-def test_cards_are_of_these_tasks_and_what_is_missing_has_its_command():
+def test_cards_are_of_these_tasks_as_is_the_page_and_what_is_missing_has_its_command():
     cards, missing = detector_cards.stored_detector_cards(), detector_cards.missing()
     assert {*cards} | {*missing} == {*v2.DETECTOR_TASKS}
     assert not {*cards} & {*missing}
@@ -122,6 +122,7 @@ def test_cards_are_of_these_tasks_and_what_is_missing_has_its_command():
         assert by_name["never"]["p_hmi"]["value"] == 1.0
         chance = by_name["lottery"]["less_best"]
         assert chance["low"] <= by_name["never"]["less_best"]["value"] <= chance["high"]
+    assert part_between(PAGE.read_text(), START, END) == f"\n{shown()}"
 
 
 @pytest.mark.nightly
@@ -149,10 +150,6 @@ def test_a_card_keeps_the_rows_of_the_same_runs_and_no_others():
     assert with_others({**card, "selection_runs": 7}, stored)["detectors"] == few
     other = [{**each, "runs": 3} if each["detector"] == best else each for each in few]
     assert with_others({**card, "detectors": other}, stored)["detectors"] == other
-
-
-def test_the_page_has_the_tables_of_the_cards():
-    assert part_between(PAGE.read_text(), START, END) == f"\n{shown()}"
 
 
 @pytest.mark.parametrize(

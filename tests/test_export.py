@@ -32,13 +32,6 @@ TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 10.0, "time_to_alert_s":
 WORLD = {"detector": {"name": "snapshot-chi2", "thresholds": "nominal"}, "timeline": TIMELINE}
 
 
-@pytest.fixture(autouse=True)
-def torch_threads():
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
 def make(**settings):
     return SpoofVecEnv(4, seed=0, **{**WORLD, "knowledge": "blind", **settings})
 
@@ -206,8 +199,6 @@ def test_what_has_a_state_is_refused(tmp_path):
 
 
 class Recurrent(torch.nn.Module):
-    """A gated unit, and a statistic that is linear in its state."""
-
     def __init__(self, observed, hidden=6, decided=1):
         super().__init__()
         self.cell = torch.nn.GRUCell(observed, hidden)

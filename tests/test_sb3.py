@@ -28,13 +28,6 @@ SETTINGS = {
 ENVS = 5
 
 
-@pytest.fixture(autouse=True)
-def torch_threads():
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
 def make(**settings):
     return SpoofVecEnv(ENVS, seed=3, **{**SETTINGS, **settings})
 
@@ -45,7 +38,6 @@ def actions(steps):
 
 
 def play(envs, steps):
-    """All that a learner sees of some steps."""
     return [envs.step(command) for command in actions(steps)]
 
 
@@ -183,7 +175,7 @@ def test_resets_copies_and_refusals_leave_no_trace():
     assert pickle.dumps(kept) == before  # what is returned is not used again
 
 
-def test_attributes_and_methods_are_shared():
+def test_attributes_and_methods_are_shared_and_torch_gets_one_thread_unless_told():
     envs = make()
     assert envs.get_attr("action_names") == [envs.action_names] * ENVS
     assert envs.get_attr("render_mode", indices=0) == [None]
@@ -195,6 +187,11 @@ def test_attributes_and_methods_are_shared():
         envs.set_attr("note", 6, indices=0)
     with pytest.raises(ValueError, match="`indices` must be None"):
         envs.env_method("close", indices=[1])
+    torch.set_num_threads(2)
+    make(torch_threads=None)
+    assert torch.get_num_threads() == 2
+    make()
+    assert torch.get_num_threads() == 1
 
 
 def test_rewards_can_change_between_steps_also_by_name():
@@ -210,14 +207,6 @@ def test_rewards_can_change_between_steps_also_by_name():
     assert prices == {(-100.0, True), (0.0, False)}
     envs.set_rewards(["alarm-penalty"])
     assert envs.step(actions(1)[0])[1].max() <= 0.0
-
-
-def test_torch_gets_one_thread_unless_told():
-    torch.set_num_threads(2)
-    make(torch_threads=None)
-    assert torch.get_num_threads() == 2
-    make()
-    assert torch.get_num_threads() == 1
 
 
 def test_information_of_every_step_is_handed_out_where_it_is_asked_for():

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-# ruff: noqa: E402 - stable-baselines3 may be missing
-torch = pytest.importorskip("torch")
+pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
 from stable_baselines3 import PPO
@@ -20,13 +19,6 @@ WORLD = {
     "detector": {"name": "snapshot-chi2", "thresholds": "nominal"},
     "timeline": {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 5.0, "time_to_alert_s": 1.0},
 }
-
-
-@pytest.fixture(autouse=True)
-def torch_threads():
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="module")
@@ -80,8 +72,6 @@ def test_a_score_changes_nothing_of_the_training(judge):
 
 
 class Rollouts(BaseCallback):
-    """Calls a function with the model where a rollout begins."""
-
     def __init__(self, call):
         super().__init__()
         self._on_rollout_start = lambda: call(self.model)

@@ -53,7 +53,6 @@ setup_of = cache(tools.calibrations.build_setup)
 
 @cache
 def shipped_of(world: str) -> list[tuple[Calibration, Detector]]:
-    """What is shipped for a world, with the detectors as they are made today."""
     setup = setup_of(world)
     return [
         (found, each)

@@ -5,20 +5,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 
 class FigureManager(FigureManagerBase):
-    """A window that is never seen."""
-
     def show(self):
         """Show nothing."""
 
 
 class FigureCanvas(FigureCanvasAgg):
-    """A canvas that counts what is drawn."""
-
     required_interactive_framework = "headless"
     manager_class = FigureManager
     drawn = 0
 
     def draw(self):
-        """Draw, and count."""
         super().draw()
         type(self).drawn += 1

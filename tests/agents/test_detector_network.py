@@ -16,7 +16,6 @@ both = pytest.mark.parametrize("words", [SIGHTED, WORDS], ids=["sighted", "witho
 
 
 def made(words):
-    """A network, and what it sees in three episodes."""
     torch.manual_seed(3)
     names = (*(f"{word}_slot{k:02d}" for word in words for k in range(SLOTS)), *RECEIVER)
     judge = DetectorNetwork(names, 0.5, width=8, projections=3)
@@ -37,7 +36,7 @@ def no_grad():
 
 
 @both
-def test_slots_may_be_exchanged_and_nothing_else(words):
+def test_slots_may_be_exchanged_alone_and_epoch_by_epoch_it_says_the_same_of_an_episode(words):
     judge, seen = made(words)
     order = np.random.default_rng(1).permutation(SLOTS)
     moved = np.arange(seen.shape[-1])
@@ -47,18 +46,23 @@ def test_slots_may_be_exchanged_and_nothing_else(words):
     alone = seen.clone()
     alone[:, :, :SLOTS] = seen[:, :, order]  # one kind of element alone
     assert (before - judge.log_odds(alone)).abs().max() > 1e-2
+    judge, seen = made(words)
+    state = [torch.zeros(len(seen), size) for size in judge.state.values()]
+    found = []
+    for t in range(seen.shape[1]):
+        action, *state = judge(seen[:, t], *state)
+        found.append(0.5 * (1.0 + action[:, 0].numpy()))
+    wanted = compute_statistic(judge.log_odds(seen).numpy())
+    np.testing.assert_allclose(np.array(found).T, wanted, atol=1e-5)
 
 
-def test_it_knows_nothing_of_the_future_and_remembers_the_past():
+def test_neither_the_future_nor_hidden_satellites_nor_the_clock_move_anything():
     judge, seen = made(SIGHTED)
     other = seen.clone()
     other[:, 10] += 0.5
     before, after = judge.log_odds(seen), judge.log_odds(other)
     assert (before[:, :10] == after[:, :10]).all()
     assert (before[:, 12:] != after[:, 12:]).all(dim=0).any()
-
-
-def test_hidden_satellites_and_the_clock_of_the_receiver_move_nothing():
     judge, seen = made(SIGHTED)
     other = seen.clone()
     other[..., RANGES] += 3.0 * seen[..., SHOWN]  # alike on all ranges
@@ -71,19 +75,7 @@ def test_hidden_satellites_and_the_clock_of_the_receiver_move_nothing():
     torch.testing.assert_close(judge.log_odds(seen), judge.log_odds(other))
 
 
-@both
-def test_epoch_by_epoch_it_says_what_it_says_of_an_episode(words):
-    judge, seen = made(words)
-    state = [torch.zeros(len(seen), size) for size in judge.state.values()]
-    found = []
-    for t in range(seen.shape[1]):
-        action, *state = judge(seen[:, t], *state)
-        found.append(0.5 * (1.0 + action[:, 0].numpy()))
-    wanted = compute_statistic(judge.log_odds(seen).numpy())
-    np.testing.assert_allclose(np.array(found).T, wanted, atol=1e-5)
-
-
-def test_centre_and_scale_are_those_of_satellites_in_view():
+def test_centre_and_scale_are_those_of_satellites_in_view_and_the_tail_keeps_its_resolution():
     judge, seen = made(WORDS)
     seen = seen.reshape(-1, seen.shape[-1])
     seen[:, RANGES] = torch.where(seen[:, SHOWN] > 0.5, 4.0 + 2.0 * seen[:, RANGES], 0.0)
@@ -93,9 +85,6 @@ def test_centre_and_scale_are_those_of_satellites_in_view():
     assert judge.encode(seen)[0][:, :2].mean(dim=0).abs().max() < 1e-4  # of the receiver
     with pytest.raises(ValueError, match="must have visible_slotNN"):
         DetectorNetwork(("range_innovation_slot00",), 0.5)
-
-
-def test_the_tail_of_the_statistic_keeps_its_resolution():
     odds = np.arange(0.0, 40.0, 0.01, dtype=np.float32)
     single = compute_statistic(odds).astype(np.float32)  # as it comes from a file
     assert (np.diff(single) > 0.0).all()  # which those of a sigmoid are not

@@ -6,8 +6,6 @@ from agents.folder import Part, Records, error_lines
 
 
 def counted(calls, config=None, **identities):
-    """Numbers, and their sum."""
-
     def number(name):
         calls.append(name)
         return identities[name]

@@ -18,7 +18,6 @@ def default_world():
 
 
 def begin(attack, world, receivers=1, onset=ONSET):
-    """Bind an attack, and begin an episode with a key of its own in every receiver."""
     attack.bind(AttackContext(receivers, world))
     rows = np.arange(receivers)
     keys = np.stack([rows + 1, rows + 7], axis=1).astype(np.uint64)

@@ -11,7 +11,6 @@ SCALE, LIMIT = 0.7, 1.0
 
 
 def plain(action, hold, tau, vector, by_rate, displacement, rate):
-    """The same by whole vectors."""
     if hold:
         return displacement + tau * rate, rate
     size = np.linalg.norm(action)

@@ -116,14 +116,6 @@ def test_labels_tell_the_threat(attack, label):
     assert attack.label == label
 
 
-def test_names_of_the_actions():
-    by_rate = FalsePosition(axes="de", control="rate")
-    assert FalsePosition().action_names(WORLD) == ("north_acceleration", "east_acceleration")
-    assert by_rate.action_names(WORLD) == ("down_rate", "east_rate")
-    assert Meaconer().action_names(WORLD) == ("delay_acceleration",)
-    assert len(PerChannel().action_names(WORLD)) == sum(map(bool, WORLD.satellite_ids))
-
-
 def refused(kind, said, **settings):
     return pytest.param(kind, settings, said, id=said)
 
@@ -147,9 +139,14 @@ def test_what_is_no_attack_is_refused(kind, settings, said):
         kind(**settings).bind(AttackContext(1, WORLD))
 
 
-def test_attacks_by_name():
+def test_attacks_by_name_and_names_of_the_actions():
     assert make_attack("false-position") == FalsePosition()
     assert make_attack({"name": "per-channel", "channels": ["S05"]}).channels == ("S05",)
     mine = PerChannel()
     assert make_attack(mine) == mine
     assert make_attack(mine) is not mine
+    by_rate = FalsePosition(axes="de", control="rate")
+    assert FalsePosition().action_names(WORLD) == ("north_acceleration", "east_acceleration")
+    assert by_rate.action_names(WORLD) == ("down_rate", "east_rate")
+    assert Meaconer().action_names(WORLD) == ("delay_acceleration",)
+    assert len(PerChannel().action_names(WORLD)) == sum(map(bool, WORLD.satellite_ids))

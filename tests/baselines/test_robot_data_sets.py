@@ -22,7 +22,7 @@ def test_the_attacked_fixes_are_those_that_are_moved(name, clean, count):
     assert DATA_SETS[name].speed_mps == (0.0 if name == "psi1" else 0.5)
 
 
-def test_jumps_are_drawn_anew_at_every_fix_and_slow_changes_add_up():
+def test_jumps_are_drawn_anew_at_every_fix_slow_changes_add_up_and_windows_are_checked():
     jump = drawn("jump", 200)[150:]
     assert jump.mean() == pytest.approx(20.0, abs=0.01)
     assert jump.var() == pytest.approx(0.1, rel=0.03)
@@ -36,9 +36,6 @@ def test_jumps_are_drawn_anew_at_every_fix_and_slow_changes_add_up():
     both = drawn("both", 50)  # whose second attack begins anew
     assert not both[100:150].any()
     assert both[150].mean() == pytest.approx(0.5, abs=0.1)
-
-
-def test_windows_are_checked():
     for bad, message in (
         ({"jump_s": ((100.0, 301.0),)}, "within 0 to 300 s, got 100 to 301"),
         ({"slow_s": ((50.0, 50.0),)}, r"begin before it ends, .* got 50 to 50"),

@@ -43,7 +43,7 @@ def bounds(*cells, point=POINT, high=None, searches=(), **bound):
     return compute_bounds(point, limits(**bound), cells, protection, searches)
 
 
-def test_the_best_attack_within_the_budget_is_compared_with_its_floor():
+def test_the_best_attack_is_compared_with_its_floor_and_the_blind_optimum_is_that_of_the_search():
     found = bounds(
         cell("none", 0.0),
         cell("ramp", 0.5),
@@ -52,8 +52,7 @@ def test_the_best_attack_within_the_budget_is_compared_with_its_floor():
         high=3.5,
     )
     assert found["floor_m"] == {STEALTHY: 1.0, HALF: 4.0}
-    assert found["best_attack"]["spoofer"] == "ramp"
-    assert found["search_failed"] == [STEALTHY, HALF]
+    assert (found["best_attack"]["spoofer"], found["search_failed"]) == ("ramp", [STEALTHY, HALF])
     # the whole interval has to lie below
     assert bounds(cell("ramp", 0.5, half=0.6), high=4.5)["search_failed"] == []
     # nothing within the budget is a failed search; over it on these runs alone says nothing
@@ -61,6 +60,11 @@ def test_the_best_attack_within_the_budget_is_compared_with_its_floor():
     assert bounds(nobody)["search_failed"] == [STEALTHY]
     assert bounds(nobody, cell("step", 9.0, within_budget=False))["search_failed"] == []
     assert bounds(cell("none", 0.0))["search_failed"] == []
+    search = {"by": "response replay", "unbeaten_start": "ramp"}
+    searches = [{"spoofer": "blind-optimum", "found": search}]
+    found = bounds(cell("blind-optimum", 9.0), searches=searches)["blind_optimum"]
+    assert found.items() >= {"value": 9.0, **search}.items()
+    assert bounds(cell("ramp", 9.0))["blind_optimum"] is None
 
 
 @pytest.mark.parametrize(

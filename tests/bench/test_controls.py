@@ -62,7 +62,7 @@ def played(tmp_path_factory):
         yield suite, folder, summarize(folder)
 
 
-def test_a_detector_helps_and_chance_can_not_be_told_from_nothing(played):
+def test_a_detector_helps_and_chance_neither_helps_nor_detects_in_time(played):
     _, _, summary = played
     against_never = [row for row in summary["comparisons"] if row["control"] == "never"]
     rows = [row for row in against_never if row["detector"] == LOTTERY]
@@ -79,6 +79,13 @@ def test_a_detector_helps_and_chance_can_not_be_told_from_nothing(played):
         if (row["detector"], row["score"]) == (TOY, "protection 50 %")
     )
     assert half["high"] < 0.0
+    _, folder, _ = played
+    cell = folder.runs(LOTTERY, "step")
+    assert ((cell.records["first_alarm"] > 0) & ~cell.records["warmup_alarm"]).any()
+    # as if every run came beyond the limit at once
+    crossed = {**cell.records, "crossing": np.ones(cell.runs, dtype=np.int64)}
+    found = compute_times(replace(cell, records=crossed))
+    assert (found["missed"]["value"], found["after_crossing_s"]) == (1.0, None)
 
 
 def test_who_reads_the_statistic_is_compared_with_never_alone(played):
@@ -92,29 +99,6 @@ def test_who_reads_the_statistic_is_compared_with_never_alone(played):
     rows = compare_controls(reading, [], footings)
     assert {row["control"] for row in rows} == {"never"}
     assert not any("lottery" in row["detector"] for row in rows)
-
-
-def test_an_alarm_by_chance_is_no_detection_in_time(played):
-    _, folder, _ = played
-    cell = folder.runs(LOTTERY, "step")
-    assert ((cell.records["first_alarm"] > 0) & ~cell.records["warmup_alarm"]).any()
-    # as if every run came beyond the limit at once
-    crossed = {**cell.records, "crossing": np.ones(cell.runs, dtype=np.int64)}
-    found = compute_times(replace(cell, records=crossed))
-    assert (found["missed"]["value"], found["after_crossing_s"]) == (1.0, None)
-
-
-def test_a_detector_is_marked_that_is_no_better_or_alarms_before_the_onset(played):
-    _, _, summary = played
-    assert report.mark_detector(summary, TOY) == ""
-    nothing = {"value": 0.0, "low": 0.0, "high": 0.0}
-    alike = [{**row, "difference_m": nothing, "below": False} for row in summary["comparisons"]]
-    changed = {**summary, "comparisons": alike}
-    assert report.mark_detector(changed, TOY) == "no better than never"
-    early = copy.deepcopy(summary)
-    for row in early["detectors"]:
-        (row["claimed"] or {})["warmup_alarms"] = 0.34
-    assert "alarms before the onset in 34 % of clean runs" in report.mark_detector(early, TOY)
 
 
 def test_a_new_detector_is_calibrated_and_scored_by_its_name_alone(played):
@@ -131,7 +115,7 @@ def test_a_new_detector_is_calibrated_and_scored_by_its_name_alone(played):
     assert 0.0 < half["value"] <= few["value"]
 
 
-def test_every_table_has_one_rate(played):
+def test_every_table_has_one_rate_and_marks_who_is_no_better_or_alarms_before_the_onset(played):
     _, folder, summary = played
     (group,) = report.groups(summary)
     assert (group.rate, len(group.detectors)) == ("20", 4)
@@ -154,3 +138,13 @@ def test_every_table_has_one_rate(played):
     several = {"detectors": [{"detector": k, "footing": v} for k, v in rates.items()]}
     found = {group.rate: group.detectors for group in report.groups(several)}
     assert found == {"0.002": ["b", "never"], "0.2": ["a", "never"], "": ["c"]}
+    _, _, summary = played
+    assert report.mark_detector(summary, TOY) == ""
+    nothing = {"value": 0.0, "low": 0.0, "high": 0.0}
+    alike = [{**row, "difference_m": nothing, "below": False} for row in summary["comparisons"]]
+    changed = {**summary, "comparisons": alike}
+    assert report.mark_detector(changed, TOY) == "no better than never"
+    early = copy.deepcopy(summary)
+    for row in early["detectors"]:
+        (row["claimed"] or {})["warmup_alarms"] = 0.34
+    assert "alarms before the onset in 34 % of clean runs" in report.mark_detector(early, TOY)

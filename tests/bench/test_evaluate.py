@@ -50,8 +50,7 @@ def test_a_score_is_that_of_a_campaign(ramp, tmp_path):
     folder = run_campaign(suite, tmp_path / "campaign")
     (wanted,) = (c for c in summarize(folder)["cells"] if c["spoofer"] == "ramp(tuned)")
     assert ramp.stealthy_displacement_m.as_json() == wanted["stealthy_displacement_m"]
-    assert ramp.alarm_rate.as_json() == wanted["alarm_rate"]
-    assert ramp.counted == wanted["counted"]
+    assert (ramp.alarm_rate.as_json(), ramp.counted) == (wanted["alarm_rate"], wanted["counted"])
     assert ramp.value == folder.search(ramp.detector, "ramp(tuned)").value
     assert ramp.value != ramp.budget  # a setting was found, not copied
 
@@ -72,15 +71,7 @@ def test_a_function_is_fitted_to_the_budget_and_commands_along_the_target(judge,
     assert judge.score(constant(1e-4)).value == 10.0  # the largest one that is tried
 
 
-def test_what_alarms_too_often_is_no_score(judge):
-    found = judge.score(constant(1.0), amplitude=None)
-    assert found.alarm_rate.value > 0.5
-    assert not found.keeps_budget
-    assert "over the budget of 5 %" in str(found)
-    assert found.fit_within_budget is None
-
-
-def test_ratios_are_paired_and_have_an_interval(judge, half):
+def test_ratios_are_paired_and_have_an_interval_of_oracles_only_where_asked_for(judge, half):
     ratio = half.ratio_to(judge.score(constant(), amplitude=1.0))
     assert ratio.low <= ratio.value <= ratio.high
     assert ratio.value == pytest.approx(0.5, abs=0.05)
@@ -96,9 +87,6 @@ def test_ratios_are_paired_and_have_an_interval(judge, half):
     for one in (half, *others):
         with pytest.raises(ValueError, match="world, their number and `entropy` must be the same"):
             one.ratio_to(score)
-
-
-def test_an_oracle_is_compared_with_others_only_where_that_is_asked_for(judge, half):
     oracle = judge.score("feedback", amplitude=0.5)
     assert (half.oracle, oracle.oracle) == (False, True)
     with pytest.raises(ValueError, match=r"\(oracle\).*`oracles=True`"):
@@ -108,12 +96,17 @@ def test_an_oracle_is_compared_with_others_only_where_that_is_asked_for(judge, h
     assert both == pytest.approx(1.0)
 
 
-def test_a_score_is_json_and_the_same_again(judge):
+def test_a_score_is_json_and_the_same_again_and_says_where_it_alarms_too_often(judge):
     score = judge.score(make_spoofer("ramp"), amplitude=0.3)
     data = json.loads(json.dumps(score.as_dict(), allow_nan=False))
     assert (data["value"], data["runs"]) == (0.3, RUNS)
     assert evaluate(make_spoofer("ramp"), **WORLD, **SIZES, amplitude=0.3) == score
     assert spoofgym.evaluate is evaluate
+    found = judge.score(constant(1.0), amplitude=None)
+    assert found.alarm_rate.value > 0.5
+    assert not found.keeps_budget
+    assert "over the budget of 5 %" in str(found)
+    assert found.fit_within_budget is None
 
 
 def test_whether_a_spoofer_fits_is_told_before_anything_is_played(judge, monkeypatch):

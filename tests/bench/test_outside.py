@@ -66,7 +66,7 @@ def suites():
     }
 
 
-def test_an_edited_class_is_another_campaign(folder):
+def test_an_edited_class_is_another_campaign_and_an_edited_policy_not_calibrated(folder):
     assert small_suite().config["outside"] == {}
     for comment in ("", "\n# a comment\n"):
         write(folder, MINE + comment)
@@ -77,6 +77,15 @@ def test_an_edited_class_is_another_campaign(folder):
         for name, suite in suites().items():
             with pytest.raises(ValueError, match=rf"results \(config\.outside\.{module}_a34: "):
                 Store(folder / name).open("campaign", suite.config)
+    digests = []
+    for text in (MINE, MINE, MINE.replace("np.zeros", "np.ones")):
+        write(folder, text)
+        digests.append(importlib.import_module("mine_a34").Calm().digest())
+    assert digests[0] == digests[1] != digests[2]
+    members = {"decide": print, "__module__": "__main__"}
+    typed = dataclass(type("Typed", (DetectorPolicy,), members))
+    assert None in outside_sources(typed()).values()
+    assert typed().digest() is None
 
 
 def test_a_policy_and_its_card_count(tmp_path):
@@ -105,15 +114,3 @@ def test_a_class_without_a_source_is_never_taken_up_again(tmp_path, monkeypatch)
         pytest.raises(ValueError, match=r"other results \(config\.outside\.__main__:Typed: "),
     ):
         Store(tmp_path).open("campaign", again.config)
-
-
-def test_a_calibration_is_not_that_of_an_edited_policy(folder):
-    digests = []
-    for text in (MINE, MINE, MINE.replace("np.zeros", "np.ones")):
-        write(folder, text)
-        digests.append(importlib.import_module("mine_a34").Calm().digest())
-    assert digests[0] == digests[1] != digests[2]
-    members = {"decide": print, "__module__": "__main__"}
-    typed = dataclass(type("Typed", (DetectorPolicy,), members))
-    assert None in outside_sources(typed()).values()
-    assert typed().digest() is None

@@ -94,16 +94,13 @@ def test_a_pace_that_does_not_fit_is_told(own, world, message):
         apply_pace(setup_of(**world), Mirror(**own))
 
 
-def test_a_pace_that_a_campaign_would_lose_is_refused():
+def test_a_pace_that_a_campaign_or_an_environment_would_lose_is_refused():
     ramp = make_spoofer("ramp")
     ramp.decision_interval_s = 2.5
     for each in (ramp, Scaled(ramp, 0.5)):
         with pytest.raises(ValueError, match=r"`decision_interval_s` = 2.5 was set on an object"):
             specify_spoofer(each)
     assert specify_spoofer(Mirror(**LATE)).spec["between"] == "linear"
-
-
-def test_an_environment_asks_it_as_often_as_it_decides():
     often, late = (
         gym.make("spoofgym/TightlyCoupled-v0", knowledge="oracle", **pace) for pace in ({}, LATE)
     )

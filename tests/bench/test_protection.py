@@ -32,7 +32,7 @@ def of_winners(*winners, sky=None):
     return Protection({"detector": "x"}, winners, np.ones(count, dtype=np.bool_), under, None)
 
 
-def test_the_scores_are_what_the_runs_say():
+def test_the_scores_are_what_the_runs_say_and_worst_skies_that_hold_less_have_no_figure():
     x = np.arange(200.0)
     counts = np.arange(200) % 2 == 0
     found = score_protection(protected("ewma", x, counts), [10.0])
@@ -55,6 +55,12 @@ def test_the_scores_are_what_the_runs_say():
     assert p_hmi[FIRST] == pytest.approx((x[counts] > 10.0).mean(), abs=1e-6)
     assert p_hmi[TOTAL] == pytest.approx((x[counts] > 8.0).mean(), abs=1e-6)
     assert p_hmi[FIRST] < p_hmi[TOTAL]
+    chosen = np.isin(np.arange(200) % 20, (3, 4))
+    for less, kept in ((1.0, False), (1e-3, True)):
+        x = np.where(chosen, 50.0 - less, 50.0)
+        found = score_protection(protected("ewma", x), [])["exceeded"]
+        values = [row["value"] for row in found if row["worst_skies"]]
+        assert values == ([50.0 - less] * 2 if kept else [None] * 2)
 
 
 def test_the_worst_of_all_winners_counts_at_every_limit():
@@ -87,12 +93,18 @@ def test_the_worst_of_all_winners_counts_at_every_limit():
     ]
 
 
-def test_a_hazard_lies_beyond_the_limit():
+def test_a_hazard_lies_beyond_the_limit_and_the_surer_of_two_attacks_is_chosen():
     at, beyond = (
         FamilyScore("ramps", False, 10.0, protected("x", np.full(40, x))) for x in (10.0, 10.5)
     )
     assert (at.p_hmi.value, at.resample_hmi().max()) == (0.0, 0.0)
     assert (beyond.p_hmi.value, beyond.resample_hmi().min()) == (1.0, 1.0)
+    aim = Aim(FIRST, limit_m=10.0)
+    sure, rash = np.full(20, 19.0), np.r_[np.full(19, 400.0), 11.0]
+    assert aim.worth(sure) > aim.worth(rash)
+    assert aim.worth(np.r_[rash[:-1], 9.0]) < aim.worth(rash)
+    # where none does, the one that comes nearest
+    assert aim.worth(np.full(20, 9.9)) > aim.worth(np.full(20, 2.0)) > aim.worth(np.zeros(20))
 
 
 def test_what_is_exceeded_in_few_runs_is_no_less_than_in_many():
@@ -108,25 +120,6 @@ def test_what_is_exceeded_in_few_runs_is_no_less_than_in_many():
     none = protected("never", np.zeros(100))
     few = compare_controls([], [none, protection], {"never": "any", "x": "0.2"})[-1]
     assert (few["score"], few["difference_m"]["value"]) == ("protection 5 %", 30.0)
-
-
-def test_worst_skies_that_hold_less_than_all_have_no_figure():
-    chosen = np.isin(np.arange(200) % 20, (3, 4))
-    for less, kept in ((1.0, False), (1e-3, True)):
-        x = np.where(chosen, 50.0 - less, 50.0)
-        found = score_protection(protected("ewma", x), [])["exceeded"]
-        values = [row["value"] for row in found if row["worst_skies"]]
-        assert values == ([50.0 - less] * 2 if kept else [None] * 2)
-
-
-def test_as_far_as_against_never_is_no_merit_of_millimetres():
-    none = protected("never", np.full(200, 500.0))
-    for less, below in ((1e-5, False), (1.0, True)):
-        other = protected("x", np.full(200, 500.0 - less))
-        rows = compare_controls([], [none, other], {"never": "any", "x": "0.2"})
-        rows = [row for row in rows if row["detector"] == "x"]
-        assert [row["below"] for row in rows] == [below, below]
-        assert all(row["difference_m"]["high"] < 0.0 for row in rows)
 
 
 def test_intervals_are_wider_where_runs_under_a_sky_are_alike():
@@ -149,15 +142,6 @@ def test_intervals_are_wider_where_runs_under_a_sky_are_alike():
     assert gap["high"] - gap["low"] == pytest.approx(width(alike), rel=1e-6)
 
 
-def test_of_attacks_that_exceed_a_limit_as_often_the_surer_one_is_chosen():
-    aim = Aim(FIRST, limit_m=10.0)
-    sure, rash = np.full(20, 19.0), np.r_[np.full(19, 400.0), 11.0]
-    assert aim.worth(sure) > aim.worth(rash)
-    assert aim.worth(np.r_[rash[:-1], 9.0]) < aim.worth(rash)
-    # where none does, the one that comes nearest
-    assert aim.worth(np.full(20, 9.9)) > aim.worth(np.full(20, 2.0)) > aim.worth(np.zeros(20))
-
-
 def test_it_comes_back_as_it_was_written():
     made = protected("ewma", [1.0, 2.5, 3.0], [True, False, True])
     arrays, record = made.parts()
@@ -168,7 +152,7 @@ def test_it_comes_back_as_it_was_written():
     np.testing.assert_array_equal(again.counts, made.counts)
 
 
-def test_detectors_are_compared_over_the_runs_that_count_for_both():
+def test_detectors_are_compared_over_the_runs_that_count_for_both_and_not_by_millimetres():
     rng = np.random.default_rng(1)
     x = rng.exponential(10.0, 300)
     drawn = rng.random(300) > 0.05
@@ -191,3 +175,10 @@ def test_detectors_are_compared_over_the_runs_that_count_for_both():
         # never at different rates, and never as published
         assert ("mine", "lottery", score) not in found
         assert ("as-is", "never", score) not in found
+    none = protected("never", np.full(200, 500.0))
+    for less, below in ((1e-5, False), (1.0, True)):
+        other = protected("x", np.full(200, 500.0 - less))
+        rows = compare_controls([], [none, other], {"never": "any", "x": "0.2"})
+        rows = [row for row in rows if row["detector"] == "x"]
+        assert [row["below"] for row in rows] == [below, below]
+        assert all(row["difference_m"]["high"] < 0.0 for row in rows)

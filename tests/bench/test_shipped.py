@@ -30,16 +30,7 @@ def labels(suite):
     return [entry.label for entry in suite.spoofer_players]
 
 
-def test_those_that_fit_play_by_default(tmp_path, monkeypatch):
-    suite = Suite(timeline=SHORT)
-    assert labels(suite) == [*USUAL, "curve", "push", "track"]
-    assert suite.left_out == ()
-    use_zoo(tmp_path, monkeypatch)
-    suite = Suite(timeline=SHORT)
-    assert (labels(suite), suite.config["notes"]) == (USUAL, [])
-
-
-def test_those_that_do_not_fit_are_named_with_the_reason(tmp_path):
+def test_those_that_fit_play_by_default_and_others_are_named_with_the_reason(tmp_path, monkeypatch):
     longer = Timeline(warmup_s=20.0, live_s=10.0, attack_s=30.0, time_to_alert_s=5.0)
     suite = Suite(timeline=longer, notes=("mine",))
     assert labels(suite) == USUAL
@@ -53,7 +44,12 @@ def test_those_that_do_not_fit_are_named_with_the_reason(tmp_path):
     # one that is asked for is refused
     asked = small_suite(attack={"name": "false-position", "rate_limit_mps": 2.0}, spoofers=["push"])
     with pytest.raises(ValueError, match=r"conditions.rate_limit_mps: 5.0 on the card, 2.0 here"):
-        run_campaign(asked, tmp_path, threads=1)
+        run_campaign(asked, tmp_path / "results", threads=1)
+    suite = Suite(timeline=SHORT)
+    assert (labels(suite), suite.left_out) == ([*USUAL, "curve", "push", "track"], ())
+    use_zoo(tmp_path, monkeypatch)
+    suite = Suite(timeline=SHORT)
+    assert (labels(suite), suite.config["notes"]) == (USUAL, [])
 
 
 def known(spec, detector="ewma", **changes):
@@ -66,8 +62,7 @@ def test_what_they_were_made_for():
     told = {"run_time": "tracking", "design_time": "ewma, by hand", "detector": "ewma"}
     assert known("track") == {**told, "transfer": []}
     elsewhere = known("curve", "snapshot-chi2", receiver={"tuning": "matched"})
-    assert elsewhere["detector"] == "ewma"
-    assert elsewhere["transfer"] == ["detector", "receiver"]
+    assert (elsewhere["detector"], elsewhere["transfer"]) == ("ewma", ["detector", "receiver"])
     assert format_target({"knowledge": elsewhere}) == "ewma (transfer: detector, receiver)"
     for changes, transfer in (
         ({"scenario": {"name": "zhong2025", "errors": "groves"}}, ["scenario"]),

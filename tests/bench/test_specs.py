@@ -42,7 +42,7 @@ def test_bad_text_is_refused(text):
         parse_spec(text)
 
 
-def test_labels_tell_what_is_not_default_and_stay_short():
+def test_labels_tell_what_is_not_default_and_only_the_tunable_setting_is_tuned():
     assert specify_detector("ewma").label == specify_detector(Ewma(smoothing=0.1)).label == "ewma"
     entry = specify_detector({"name": "ewma", "weight_scale": None, "smoothing": 0.25})
     assert entry.label == "ewma(smoothing=0.25,weight_scale=none)"
@@ -50,9 +50,6 @@ def test_labels_tell_what_is_not_default_and_stay_short():
     curve = {"name": "profile", "rates_mps": [0.0, 0.1, 0.2, 0.3], "label": None}
     assert specify_spoofer(curve).label == "profile(rates_mps=4 values,label=none)"
     assert specify_spoofer({**curve, "label": "mine"}).label == "mine"
-
-
-def test_only_the_tunable_setting_is_tuned():
     assert specify_spoofer({"name": "step", "size_m": "tuned"}).tuned == "size_m"
     with pytest.raises(ValueError, match="`heading_deg` of spoofer 'ramp' can't be tuned; tunable"):
         specify_spoofer({"name": "ramp", "heading_deg": "tuned"})
@@ -96,7 +93,7 @@ def test_a_class_of_the_user():
         make("detector", DETECTORS, Detector, {"name": EWMA, "smooth": 1})
 
 
-def test_arrays_are_described_by_what_is_in_them():
+def test_arrays_are_described_by_what_is_in_them_and_settings_of_one_alone_differ():
     one = describe({"x": np.arange(3.0), "day": date(2012, 10, 31), "n": np.int64(4)})
     assert one == describe({"n": 4, "x": np.arange(3.0), "day": date(2012, 10, 31)})
     assert one["x"] != describe(np.arange(3))
@@ -105,9 +102,6 @@ def test_arrays_are_described_by_what_is_in_them():
         describe(float("nan"))
     with pytest.raises(TypeError, match="can't be written down"):
         describe({1, 2})
-
-
-def test_a_setting_that_only_one_has_is_a_difference():
     one, other = {"a": 1, "own": {"b": 2}}, {"own": {"b": 2, "c": 3}, "more": [4]}
     expected = [("a", 1, None), ("own.c", None, 3), ("more", None, [4])]
     assert diff_settings(one, other) == expected

@@ -43,11 +43,21 @@ def test_runs_share_no_noise_between_splits_scenarios_runs_and_campaigns():
     assert many[:4] == few
 
 
-def test_spoofers_that_ignore_a_target_that_is_drawn_are_warned_of():
+def test_spoofers_that_ignore_a_drawn_target_are_warned_of_and_oracles_refused():
     drawn = {"target_heading_deg": "random", "detectors": ("never",)}
     with pytest.warns(UserWarning, match=r"push Ramp \(heading_deg=90\), Step \(heading_deg=90\);"):
         small_suite(spoofers=("ramp", "step"), **drawn).check_fit()
     small_suite(spoofers=({"name": "step", "heading_deg": "target"},), **drawn).check_fit()
+    assert not any(DETECTORS[spec["name"]].oracle for spec in DEFAULT_DETECTORS)
+    oracles = ("ewma", {"name": "oracle-ramp", "rate_mps": 0.2})
+    with pytest.raises(ValueError, match=r"oracle-ramp\(rate_mps=0.2\): an oracle knows the"):
+        Suite(detectors=oracles)
+    suite = Suite(detectors=oracles, allow_oracles=True)
+    note = "oracle-ramp(rate_mps=0.2) is an oracle: it knows the attack"
+    assert suite._oracle_notes == (note,)
+    assert note in suite.config["notes"]
+    plain = [Suite(detectors=("ewma",), allow_oracles=allow).digest for allow in (True, False)]
+    assert plain[0] == plain[1]
 
 
 def test_the_digest_follows_everything_that_results_depend_on():
@@ -76,9 +86,6 @@ def test_the_digest_follows_everything_that_results_depend_on():
         (7, {"tuning": tuning}),
     ):
         assert compute_digest(small_suite(**changes).config) == digests[n]
-
-
-def test_the_rate_of_the_inertial_sensors_is_named_in_results():
     own, keyword = small_suite(), small_suite(settings={"imu_rate_hz": 20})
     mapping = small_suite(scenario={"name": "zhong2025", "imu_rate_hz": 20})
     assert "imu_rate_hz" not in own.config["scenario"]
@@ -87,25 +94,7 @@ def test_the_rate_of_the_inertial_sensors_is_named_in_results():
     assert keyword.digest == mapping.digest != own.digest
 
 
-def test_the_clean_twin_is_always_played_first():
-    suite = small_suite(spoofers=("step", "none"))
-    assert [entry.label for entry in suite.spoofer_players] == ["none", "step"]
-
-
-def test_oracles_are_refused_unless_they_are_asked_for():
-    assert not any(DETECTORS[spec["name"]].oracle for spec in DEFAULT_DETECTORS)
-    oracles = ("ewma", {"name": "oracle-ramp", "rate_mps": 0.2})
-    with pytest.raises(ValueError, match=r"oracle-ramp\(rate_mps=0.2\): an oracle knows the"):
-        Suite(detectors=oracles)
-    suite = Suite(detectors=oracles, allow_oracles=True)
-    note = "oracle-ramp(rate_mps=0.2) is an oracle: it knows the attack"
-    assert suite._oracle_notes == (note,)
-    assert note in suite.config["notes"]
-    plain = [Suite(detectors=("ewma",), allow_oracles=allow).digest for allow in (True, False)]
-    assert plain[0] == plain[1]
-
-
-def test_a_campaign_has_its_world_and_its_runs():
+def test_a_campaign_has_its_world_and_its_runs_and_plays_the_clean_twin_first():
     assert World.of("T3") == World(settings=get_task("T3").world_kwargs)
     named = World.of(timeline=TIMES, between="hold", scenario=None)
     assert named == World.of(timeline=TIMES, settings={"between": "hold"})
@@ -115,6 +104,8 @@ def test_a_campaign_has_its_world_and_its_runs():
     assert {name: suite.config[name] for name in world.config} == world.config
     one, few = world.generators(3, "training", 3, first=2), suite.generators("training", 3)
     assert one[0].random() == few[2].random()
+    suite = small_suite(spoofers=("step", "none"))
+    assert [entry.label for entry in suite.spoofer_players] == ["none", "step"]
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ ROWS = [
 ]
 
 
-def test_a_column_takes_a_key_or_a_function_and_none_is_a_dash(capsys):
+def test_a_column_takes_a_key_or_a_function_and_a_form(capsys):
     assert TABLE.titles == ("detector", "per run [%]", "alarms")
     assert TABLE.texts(ROWS) == [("one | two\nlines", "1.2", "3"), ("never", "-", "none")]
     assert TABLE["per run [%]"].text(ROWS[0]) == "1.2"
@@ -36,9 +36,6 @@ def test_a_column_takes_a_key_or_a_function_and_none_is_a_dash(capsys):
     assert "per run [%]" in lines[1]
     (row,) = (line for line in lines if line.strip().startswith("never"))
     assert row.index("-") == lines[1].index("]")  # at the right
-
-
-def test_forms():
     estimate = {"value": 0.5, "low": 0.25, "high": None, "confidence": 0.95}
     assert percent(estimate) == "50.0 (25.0 to ?)"
     assert percent({"value": None, "low": None, "high": None}) == "-"

@@ -66,7 +66,7 @@ def test_an_error_says_name_value_and_what_is_valid(name, value, must):
     assert str(raised.value).startswith(f"`{name}` must be {must}, got {value!r}")
 
 
-def test_what_is_valid_is_stored_in_one_form():
+def test_what_is_valid_is_stored_in_one_form_and_arguments_are_refused_in_one():
     push = Push(np.float64(2.0), 5.0, [1, 2.5], np.inf, "target")
     assert push == Push(2.0, 5, (1, 2.5), np.inf, "target")
     assert [type(push.rate_mps), type(push.epochs), type(push.windows_s)] == [float, int, tuple]
@@ -74,6 +74,12 @@ def test_what_is_valid_is_stored_in_one_form():
         stored = Push(windows_s=windows).windows_s
         assert stored == (1.0, 2.5)
         assert [*map(type, stored)] == [float, float]
+    check_number("runs", 3, least=1, whole=True)
+    with pytest.raises(ValueError, match=r"`runs` must be a whole number of at least 1, got 2\.5"):
+        check_number("runs", 2.5, least=1, whole=True)
+    check_word("side", "spoofer", ("spoofer", "detector"))
+    with pytest.raises(ValueError, match="`side` must be 'spoofer' or 'detector', got 'x'"):
+        check_word("side", "x", ("spoofer", "detector"))
 
 
 def test_settings_are_checked_before_what_follows_and_in_subclasses():
@@ -99,12 +105,3 @@ def test_parameters_are_documented_before_the_sections_that_follow():
         "\nNotes\n-----\nOf no use.\n"
     )
     assert [*list_declarations(Twice)] == [*list_declarations(Push)]
-
-
-def test_arguments_are_refused_in_the_same_form():
-    check_number("runs", 3, least=1, whole=True)
-    with pytest.raises(ValueError, match=r"`runs` must be a whole number of at least 1, got 2\.5"):
-        check_number("runs", 2.5, least=1, whole=True)
-    check_word("side", "spoofer", ("spoofer", "detector"))
-    with pytest.raises(ValueError, match="`side` must be 'spoofer' or 'detector', got 'x'"):
-        check_word("side", "x", ("spoofer", "detector"))

@@ -12,8 +12,7 @@ def test_a_file_is_written_with_its_folder_and_is_whole_or_absent(tmp_path, monk
     path = tmp_path / "new" / "file.bin"
     for content in (b"first", b"", b"last \x00 one"):
         write_file(path, content)
-        assert path.read_bytes() == content
-        assert list(path.parent.iterdir()) == [path]
+        assert (path.read_bytes(), list(path.parent.iterdir())) == (content, [path])
     with whole_file(path) as mine:  # two writers do not meet
         mine.write_bytes(b"mine")
         write_file(path, b"yours")
@@ -26,8 +25,7 @@ def test_a_file_is_written_with_its_folder_and_is_whole_or_absent(tmp_path, monk
     monkeypatch.setattr("os.fsync", dies)
     with pytest.raises(KeyboardInterrupt):
         write_file(path, b"new")
-    assert path.read_bytes() == b"mine"
-    assert list(path.parent.iterdir()) == [path]
+    assert (path.read_bytes(), list(path.parent.iterdir())) == (b"mine", [path])
 
 
 @pytest.mark.parametrize("links", [True, False])
@@ -41,8 +39,7 @@ def test_an_exclusive_file_replaces_none(tmp_path, monkeypatch, links):
     write_file(path, b"first", exclusive=True)
     with pytest.raises(FileExistsError):
         write_file(path, b"second", exclusive=True)
-    assert path.read_bytes() == b"first"
-    assert list(tmp_path.iterdir()) == [path]
+    assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"first", [path])
 
 
 def test_only_parts_of_dead_processes_are_removed(tmp_path):

@@ -17,7 +17,6 @@ pytestmark = pytest.mark.nojit
 
 
 def filled(receivers, seed=0, dtype=np.float64):
-    """Fields with other numbers everywhere, and what was put in."""
     fields, rng = LaneFields(receivers, SHAPES, dtype), np.random.default_rng(seed)
     assert not fields.data.any()
     values = {
@@ -30,7 +29,6 @@ def filled(receivers, seed=0, dtype=np.float64):
 
 
 def check(fields, values):
-    """By name, and where they are: each in its lane of the rows of its group."""
     for name, value in values.items():
         np.testing.assert_array_equal(fields[name], value, strict=True)
     lanes = 1 if fields.receivers == 1 else LANES

@@ -17,7 +17,7 @@ def memory():
     return memory
 
 
-def test_arrays_begin_as_they_were_declared_by_receivers(memory):
+def test_arrays_begin_as_they_were_declared_and_rows_are_taken_over(memory):
     np.testing.assert_array_equal(memory["count"], np.zeros(3, dtype=np.int64), strict=True)
     np.testing.assert_array_equal(memory["mean"], [[0, 1], [2, 3], [4, 5]])
     assert list(memory.declared) == ["count", "mean"]
@@ -25,6 +25,15 @@ def test_arrays_begin_as_they_were_declared_by_receivers(memory):
         with pytest.raises(ValueError, match="memory 'sum' needs a leading axis of 3 receivers"):
             memory.declare("sum", initial)
     assert "sum" not in memory
+    other = Memory(2)
+    other.declare_all(count=np.array([8, 9]), mean=np.full((2, 2), -1.0))
+    memory.copy_rows(np.array([2, 0]), other, np.array([1, 0]))
+    np.testing.assert_array_equal(memory["count"], [8, 0, 9])
+    np.testing.assert_array_equal(memory["mean"], [[-1, -1], [2, 3], [-1, -1]])
+    memory.reset()
+    np.testing.assert_array_equal(memory["count"], 0)  # begins are not taken over
+    memory.copy_rows(np.array([0, 1]), memory, np.array([1, 0]))
+    np.testing.assert_array_equal(memory["mean"], [[2, 3], [0, 1], [4, 5]])
 
 
 @pytest.mark.parametrize("assign", [True, False])
@@ -41,18 +50,6 @@ def test_a_reset_restores_the_masked_rows(memory, assign):
         memory.reset()
         np.testing.assert_array_equal(memory["mean"], [[0, 1], [2, 3], [4, 5]])
         memory["mean"][:] = 1.0  # written in place
-
-
-def test_rows_are_taken_over_from_another_memory_or_exchanged(memory):
-    other = Memory(2)
-    other.declare_all(count=np.array([8, 9]), mean=np.full((2, 2), -1.0))
-    memory.copy_rows(np.array([2, 0]), other, np.array([1, 0]))
-    np.testing.assert_array_equal(memory["count"], [8, 0, 9])
-    np.testing.assert_array_equal(memory["mean"], [[-1, -1], [2, 3], [-1, -1]])
-    memory.reset()
-    np.testing.assert_array_equal(memory["count"], 0)  # begins are not taken over
-    memory.copy_rows(np.array([0, 1]), memory, np.array([1, 0]))
-    np.testing.assert_array_equal(memory["mean"], [[2, 3], [0, 1], [4, 5]])
 
 
 @pytest.mark.parametrize("way", [copy.deepcopy, lambda m: pickle.loads(pickle.dumps(m))])

@@ -67,7 +67,7 @@ def test_anything_else_is_no_shape(spec):
         make(spec, "end term", more=("far", "circle"))
 
 
-def test_a_record_is_made_of_settings_over_defaults():
+def test_a_record_is_made_of_settings_over_defaults_and_unknown_names_are_named():
     assert build_record("grid", Grid, None) == Grid()
     assert build_record("grid", Grid, {"wrap": True}, {"cells": 5}) == Grid(cells=5, wrap=True)
     assert build_record("grid", Grid, {"cells": 4}, {"cells": 5}) == Grid(cells=4)
@@ -76,14 +76,9 @@ def test_a_record_is_made_of_settings_over_defaults():
     for wrong in (5, "cells", [("cells", 1)]):
         with pytest.raises(TypeError, match="`grid` must be a dict of settings or an instance of"):
             build_record("grid", Grid, wrong)
-
-
-def test_an_unknown_setting_is_named():
     with pytest.raises(ValueError, match="`grid` has no setting 'cell'; valid: cells, wrap, spac"):
         build_record("grid", Grid, {"cell": 1})
 
-
-def test_unknown_keywords_are_named_with_all_valid_ones():
     def draw(colour, *, width=1.0, **style):
         """Takes some arguments by name, and some by `style`."""
 

@@ -57,9 +57,6 @@ COMPILED = not numba.config.DISABLE_JIT
 pytestmark = pytest.mark.nojit
 
 
-# --- operators and functions -----------------------------------------------------------------
-
-
 @inline_njit
 def compared(a, b, k):
     first = (select(a > b, 1.0, 0.0), select(a >= b, 1.0, 0.0), select(a < b, 1.0, 0.0))
@@ -73,7 +70,6 @@ def compared(a, b, k):
 
 @inline_njit
 def everything(a, b, c, u, v, by, k, word, truth):
-    """Reals, and words, of all that takes vectors."""
     d, e, f, g, h = c, c, u, u, u
     d += b
     d -= k
@@ -136,7 +132,6 @@ PLAIN = dict(globals())
 
 
 def plain(function):
-    """A function that is not compiled, nor are those that it calls."""
     return types.FunctionType(getattr(function, "py_func", function).__code__, PLAIN)
 
 
@@ -145,7 +140,6 @@ each_way = pytest.mark.parametrize("called", [lambda kernel: kernel, plain], ids
 
 
 def played(kernel, x, w, truth):
-    """What a kernel writes of two rows of every argument."""
     out = [np.full((200, *x.shape[1:]), 99, dtype=each.dtype) for each in (x, w)]
     with np.errstate(all="ignore"):
         kernel(x, w, REAL, WORD, truth, *out)
@@ -176,12 +170,8 @@ def test_operators_and_functions_are_those_of_numpy_for_rows_pairs_and_single_re
             assert_same(alone, [each[:, i] for each in expected])
 
 
-# --- lane arrays -----------------------------------------------------------------------------
-
-
 @njit
 def in_vectors(x, out):
-    """What is otherwise of vectors than of numbers."""
     store(out, 0, pair_lanes(load(x, 0)))
     store(out, 2, load_pair(x, 1) + 1.0)
     store(out, 4, splat(2.0, load_pair(x, 0)))
@@ -189,15 +179,6 @@ def in_vectors(x, out):
     store(out, 7, 1.0 if any_lane(load(x, 0) > 7.0) else 0.0)
     store(out, 8, 1.0 if any_lane(load_pair(x, 0) > 14.5) else 0.0)
     store(out, 9, 1.0 if any_lane(load_pair(x, 0) > 15.0) else 0.0)
-
-
-@each_way
-def test_pairs_and_any_lane(called):
-    x, out = np.arange(3.0 * LANES).reshape(3, LANES), np.zeros((10, LANES))
-    called(in_vectors)(x, out)
-    expected = [x[0], x[0], x[1] + 1.0, x[2] + 1.0]
-    expected += [np.full(LANES, each) for each in (2.0, 2.0, 1.0, 0.0, 1.0, 0.0)]
-    np.testing.assert_array_equal(out, expected)
 
 
 @njit
@@ -218,21 +199,6 @@ def rows_and_lanes(x, out):
     store(out, 10, 1.0 if any_lane(load(x, 0) == 3.0) else 0.0)
 
 
-@each_way
-def test_rows_and_lanes(called):
-    x, out = np.arange(3.0 * LANES).reshape(3, LANES), np.zeros((11, LANES))
-    called(rows_and_lanes)(x, out)
-    numbers = [np.full(LANES, each) for each in (7.0, LANES, 2.0, 3.0, 1.0)]
-    third = [*numbers[0][1:], x[1, 0]]
-    expected = [x[2], numbers[0], third, 2 * x[0], 2 * x[1], numbers[1], x[1] + x[2], numbers[2]]
-    np.testing.assert_array_equal(out, [*expected, numbers[3], numbers[3], numbers[4]])
-    for i in range(LANES):
-        out = np.zeros(11)
-        called(rows_and_lanes)(x[:, i].copy(), out)
-        a, b, c = x[:, i]
-        np.testing.assert_array_equal(out, [c, 7, b, 2 * a, 2 * b, 1, b + c, 2, 3, 3, i == 3])
-
-
 @njit
 def keep_words(x, out):
     store(out, 0, load(x, 1) ^ load(x, 0))
@@ -249,7 +215,23 @@ def splat_of(x, out):
 
 
 @each_way
-def test_rows_of_words_and_a_single_receiver_with_eight_rows(called):
+def test_rows_of_reals_and_words_pairs_and_lanes(called):
+    x, out = np.arange(3.0 * LANES).reshape(3, LANES), np.zeros((10, LANES))
+    called(in_vectors)(x, out)
+    expected = [x[0], x[0], x[1] + 1.0, x[2] + 1.0]
+    expected += [np.full(LANES, each) for each in (2.0, 2.0, 1.0, 0.0, 1.0, 0.0)]
+    np.testing.assert_array_equal(out, expected)
+    x, out = np.arange(3.0 * LANES).reshape(3, LANES), np.zeros((11, LANES))
+    called(rows_and_lanes)(x, out)
+    numbers = [np.full(LANES, each) for each in (7.0, LANES, 2.0, 3.0, 1.0)]
+    third = [*numbers[0][1:], x[1, 0]]
+    expected = [x[2], numbers[0], third, 2 * x[0], 2 * x[1], numbers[1], x[1] + x[2], numbers[2]]
+    np.testing.assert_array_equal(out, [*expected, numbers[3], numbers[3], numbers[4]])
+    for i in range(LANES):
+        out = np.zeros(11)
+        called(rows_and_lanes)(x[:, i].copy(), out)
+        a, b, c = x[:, i]
+        np.testing.assert_array_equal(out, [c, 7, b, 2 * a, 2 * b, 1, b + c, 2, 3, 3, i == 3])
     for x in (WORDS, WORDS[:, 3].copy()):
         out = np.zeros((4, *x.shape[1:]), dtype=np.uint64)
         called(keep_words)(x, out)
@@ -270,9 +252,6 @@ def test_a_loaded_row_does_not_follow_the_array():
     store(x, 0, row)
     row += 1.0
     np.testing.assert_array_equal(x[0], np.arange(LANES, 2.0 * LANES) + 1.0)
-
-
-# --- many arrays as one argument -------------------------------------------------------------
 
 
 @njit
@@ -327,8 +306,6 @@ def test_a_table_keeps_its_arrays_alive_and_refuses_what_it_could_not_read():
             ArrayTable([np.zeros(3), array])
 
 
-# --- what does not fit -----------------------------------------------------------------------
-
 WRONG = {
     "real + word": lambda x, w: load(x, 0) + load(w, 0),
     "word + real number": lambda x, w: load(w, 0) + 1.0,
@@ -355,6 +332,9 @@ WRONG = {
     "stored vector in single lanes": lambda x, w: store(np.zeros(2), 0, load(x, 0)),
     "vector in a lane": lambda x, w: set_lane(x, 0, 1, load(x, 0)),
     "too many arguments": lambda x, w: sqrt(load(x, 0), load(x, 1)),
+    "row in single precision": lambda x, w: load(x.astype(np.float32), 0),
+    "row of whole numbers": lambda x, w: load(x.astype(np.int64), 0),
+    "row of truths": lambda x, w: load(x.astype(np.bool_), 0),
 }
 
 
@@ -363,10 +343,3 @@ WRONG = {
 def test_what_does_not_fit_is_no_valid_type(name):
     with pytest.raises(TypingError):
         numba.njit(WRONG[name])(np.zeros((2, LANES)), np.zeros((2, LANES), dtype=np.uint64))
-
-
-@pytest.mark.skipif(not COMPILED, reason="only the compiler knows types")
-@pytest.mark.parametrize("dtype", [np.float32, np.int64, np.bool_])
-def test_lane_arrays_are_of_reals_or_words(dtype):
-    with pytest.raises(TypingError):
-        numba.njit(lambda x: load(x, 0))(np.zeros((2, LANES), dtype=dtype))

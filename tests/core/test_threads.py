@@ -82,7 +82,10 @@ def test_an_interrupt_does_not_end_the_wait_for_a_thread():
     assert not running()
 
 
-def test_the_end_does_not_wait_for_ever(monkeypatch):
+def test_threads_that_are_over_are_forgotten_and_the_end_does_not_wait_for_ever(monkeypatch):
+    for _ in range(3):
+        _threads.start(lambda: None, lambda: None, NAME).join()
+    assert sum(each.name == NAME for each in _threads._known) == 1
     monkeypatch.setattr(_threads, "END_S", 0.05)
     stopped, before = threading.Event(), _threads.generation()
     thread = _threads.start(stopped.wait, lambda: None, NAME)
@@ -91,9 +94,3 @@ def test_the_end_does_not_wait_for_ever(monkeypatch):
     assert _threads.generation() is not before
     stopped.set()
     thread.join()
-
-
-def test_threads_that_are_over_are_forgotten():
-    for _ in range(3):
-        _threads.start(lambda: None, lambda: None, NAME).join()
-    assert sum(each.name == NAME for each in _threads._known) == 1

@@ -78,9 +78,6 @@ def test_a_clean_table_loses_nothing(flight, table):
     assert "barometric altitude is taken as height above the ellipsoid" in text
 
 
-# --- reading -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "name", ["t.csv", "t.csv.gz", "t.json", "t.json.gz", "columns.json", "t.parquet"]
 )
@@ -187,20 +184,15 @@ def test_an_empty_or_unknown_file_is_refused_and_pandas_asked_for(tmp_path, monk
         read_track("any.csv")
 
 
-# --- cleaning ----------------------------------------------------------------------------------
-
-
-def test_courses_in_a_signed_byte_are_resolved(flight, table):
-    true = np.round(table["track"]).astype(int)
-    table["track"] = (true + 128) % 256 - 128
-    track, report = cleaned(table)
-    assert report.angles_rejected == 0
-    assert report.angles_unwrapped == int((table["track"] != true).sum()) > 0
-    turned = np.exp(1j * track.track_angle)
-    np.testing.assert_allclose(turned, np.exp(1j * np.radians(true)), atol=1e-9)
-
-
-def test_interpolated_runs_count_as_one_fix_at_each_end(table):
+def test_interpolated_runs_count_as_one_fix_at_each_end_or_are_kept_on_demand(table):
+    line = {"longitude": 8.0, "track": 0.0, "groundspeed": 180.0}
+    straight = table.iloc[:13].assign(latitude=np.linspace(46.0, 46.05, 13), **line)
+    with pytest.raises(ValueError, match="interpolated='keep'"):
+        cleaned(straight)
+    track, report = cleaned(straight, interpolated="keep")
+    assert (track.time.size, report.interpolated) == (13, 0)
+    with pytest.raises(ValueError, match="must be 'drop' or 'keep', got 'maybe'"):
+        cleaned(straight, interpolated="maybe")
     run = slice(20, 25)
     for column in ("latitude", "longitude"):
         ends = table[column].iloc[[20, 24]]
@@ -211,19 +203,7 @@ def test_interpolated_runs_count_as_one_fix_at_each_end(table):
     np.testing.assert_allclose(row_times(track), 5.0 * kept)
 
 
-def test_a_noiseless_straight_flight_is_kept_on_demand(table):
-    line = {"longitude": 8.0, "track": 0.0, "groundspeed": 180.0}
-    straight = table.iloc[:13].assign(latitude=np.linspace(46.0, 46.05, 13), **line)
-    with pytest.raises(ValueError, match="interpolated='keep'"):
-        cleaned(straight)
-    track, report = cleaned(straight, interpolated="keep")
-    assert (track.time.size, report.interpolated) == (13, 0)
-    with pytest.raises(ValueError, match="must be 'drop' or 'keep', got 'maybe'"):
-        cleaned(straight, interpolated="maybe")
-
-
 def stored(table, **values):
-    """A table with other values in some rows: by column, by row."""
     for column, by_row in values.items():
         table.loc[[*by_row], column] = [*by_row.values()]
     return table
@@ -234,7 +214,6 @@ def repeat(table, times):
 
 
 def known(table, times, late_s):
-    """Rows that come later than their positions, whose time the file knows."""
     rows = repeat(table, times)
     rows["last_position"] = 1e3 * rows["timestamp"]
     rows["timestamp"] += np.tile(late_s, len(table))
@@ -242,7 +221,6 @@ def known(table, times, late_s):
 
 
 def taxiing(table):
-    """55 kt, which end where the flight begins."""
     still_to_taxi = 5.0 * 55.0 * KNOT * np.arange(10, 0, -1) + np.tile([0.0, 3.0], 5)
     table.loc[:9, "latitude"] = table.loc[10, "latitude"] - still_to_taxi / 111_200.0
     table.loc[:9, "longitude"] = table.loc[10, "longitude"]
@@ -286,13 +264,20 @@ def test_dirt_is_found_and_dropped(table, change, counts, dropped):
     assert report.fixes == len(kept)
 
 
-def test_speeds_and_courses_that_are_wrong_are_not_used(table):
+def test_wrong_speeds_and_courses_are_not_used_and_those_in_a_signed_byte_resolved(table, flight):
     course = (table["track"] + 60.0 * (table.index == 4) + 10.0 * (table.index == 9)) % 360.0
     track, report = cleaned(table.assign(groundspeed=400.0, track=course))
     assert report.speeds_rejected == len(table)
     assert np.isnan(track.groundspeed).all()
     assert report.angles_rejected == 1  # 20 deg are the limit
     assert np.flatnonzero(np.isnan(track.track_angle)).tolist() == [4]
+    true = np.round(table["track"]).astype(int)
+    table["track"] = (true + 128) % 256 - 128
+    track, report = cleaned(table)
+    assert report.angles_rejected == 0
+    assert report.angles_unwrapped == int((table["track"] != true).sum()) > 0
+    turned = np.exp(1j * track.track_angle)
+    np.testing.assert_allclose(turned, np.exp(1j * np.radians(true)), atol=1e-9)
 
 
 def test_repeated_positions_count_once(table):
@@ -304,21 +289,18 @@ def test_repeated_positions_count_once(table):
     np.testing.assert_allclose(row_times(track)[:3], [4.0, 5.0, 10.0])
 
 
-def test_a_jump_that_lasts_breaks_the_track_and_drops_nothing(table):
+def test_a_gap_over_30_s_and_a_jump_that_lasts_break_the_track(table):
+    track, report = cleaned(table.drop(index=range(31, 37)))
+    assert report.stretches == 2
+    assert track.time.size == report.fixes == 31
+    assert np.diff(track.time).max() <= 30.0
     table.loc[30:, "latitude"] += 0.3
     track, report = cleaned(table)
     assert (report.position_outliers, report.stretches) == (0, 2)
     assert report.fixes == track.time.size == max(30, len(table) - 30)
 
 
-def test_a_gap_over_30_s_breaks_the_track(table):
-    track, report = cleaned(table.drop(index=range(31, 37)))
-    assert report.stretches == 2
-    assert track.time.size == report.fixes == 31
-    assert np.diff(track.time).max() <= 30.0
-
-
-def test_a_cut_is_chosen_by_its_times(table):
+def test_a_cut_is_chosen_by_its_times_and_lasts_ten_minutes_by_default(table):
     track, report = cleaned(table, from_s=40.0, duration_s=100.0)
     times = row_times(track)
     assert (times[0], times[-1], report.duration_s) == (40.0, 140.0, 100.0)
@@ -330,9 +312,6 @@ def test_a_cut_is_chosen_by_its_times(table):
     ):
         with pytest.raises(ValueError, match=message):
             cleaned(table, **settings)
-
-
-def test_ten_minutes_are_the_default():
     # 750 s of a circle, at one place a second
     time = np.arange(0.0, 750.0, 4.0)
     north, east = 1.5e3 * np.sin(time / 15.0), 1.5e3 * np.cos(time / 15.0)
@@ -360,9 +339,6 @@ def test_single_rules():
     radius, rate = 1500.0, 0.06
     circle = radius * np.stack([np.cos(rate * time), np.sin(rate * time)], axis=-1)
     assert not isolated_outliers(time, circle, 500.0, 10.0).any()
-
-
-# --- recorded tracks ---------------------------------------------------------------------------
 
 
 def test_recorded_tracks_have_the_dirt_that_is_known_of_them(data_folder):

@@ -80,7 +80,6 @@ def belief(rng, channels, *shape):
 
 
 def drawn(rng, S):
-    """Innovations of just this covariance."""
     return np.einsum("...ij,...j->...i", np.linalg.cholesky(S), rng.standard_normal(S.shape[:-1]))
 
 

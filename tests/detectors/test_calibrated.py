@@ -93,7 +93,11 @@ def test_a_rate_can_be_asked_for_by_name_and_a_pool_asks_its_members():
         Calibrated(pool, 1.0)
 
 
-def test_an_object_plays_as_it_is(monkeypatch):
+def test_an_object_plays_as_it_is_and_identities_are_resolved_settings(monkeypatch):
+    assert describe_identity(Ewma()) == describe_identity(Ewma(smoothing=0.1))
+    assert describe_identity(Ewma()) != describe_identity(Ewma(smoothing=0.2))
+    assert describe_identity(JointChart(alarm_scale=3.0)) == describe_identity(JointChart())
+    assert describe_identity(Cusum(bias_window_s=5)) == describe_identity(Cusum(bias_window_s=5.0))
     monkeypatch.setattr(calibrated, "DEFAULT_RATE", 0.3)
     for given in (Ewma(), Calibrated(Ewma(), 1.7)):
         for make in (make_detector, detector_in_world):
@@ -107,13 +111,6 @@ def test_an_object_plays_as_it_is(monkeypatch):
     again = detector_in_world({"name": "pool", "members": pool.members})
     for each in (pool, again):
         assert [type(judge) for judge in each.judges] == [Calibrated, SnapshotChi2]
-
-
-def test_identities_are_resolved_settings():
-    assert describe_identity(Ewma()) == describe_identity(Ewma(smoothing=0.1))
-    assert describe_identity(Ewma()) != describe_identity(Ewma(smoothing=0.2))
-    assert describe_identity(JointChart(alarm_scale=3.0)) == describe_identity(JointChart())
-    assert describe_identity(Cusum(bias_window_s=5)) == describe_identity(Cusum(bias_window_s=5.0))
 
 
 @pytest.mark.parametrize(

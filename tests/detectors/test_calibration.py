@@ -22,7 +22,6 @@ WINDOW_S = 160.0
 
 
 def calibration(maxima, *, before=0.0, bisected=False):
-    """Of a made-up detector, from the maxima of its runs."""
     runs = len(maxima)
     ranks = list_stored_ranks(runs, WINDOW_S)
     order = np.sort(maxima)[::-1]
@@ -41,10 +40,15 @@ def calibration(maxima, *, before=0.0, bisected=False):
     )
 
 
-def test_a_rate_an_hour_is_a_probability_for_a_run():
+def test_a_rate_is_by_the_hour_or_a_probability_by_the_run():
     assert run_probability(0.2, WINDOW_S) == pytest.approx(1.0 - math.exp(-0.2 * 160 / 3600))
     assert hourly_rate(run_probability(0.002, 77.0), 77.0) == pytest.approx(0.002)
     assert hourly_rate(1.0, 77.0) == math.inf
+    with pytest.raises(ValueError, match=r"hour=0\.2 and per_run=0\.05"):
+        calibration(RUNS_499).point(0.2, per_run=0.05)
+    for per_run in (0.0, 1.0):
+        with pytest.raises(ValueError, match="`per_run` must be a number above 0 and below 1"):
+            calibration(RUNS_499).interval(per_run)
 
 
 @pytest.mark.parametrize("p", [0.001, 0.00885, 0.05, 0.3])
@@ -57,7 +61,7 @@ def test_the_rank_is_the_lowest_that_keeps_the_probability(p):
     assert compute_rank(p, least - 1) < 1 <= compute_rank(p, least)
 
 
-def test_a_thinned_file_never_exceeds_a_rate():
+def test_neither_a_thinned_file_nor_written_scales_exceed_a_rate():
     maxima = np.random.default_rng(4).permutation(50_000) + 1.0
     found = calibration(maxima)
     assert len(found.ranks) < 1000
@@ -68,9 +72,6 @@ def test_a_thinned_file_never_exceeds_a_rate():
         assert point.rank == exact or rate not in STANDARD_RATES
         assert (maxima > point.scale).sum() <= exact - 1
         assert not point.extrapolated
-
-
-def test_written_scales_are_never_below_the_maxima():
     values = np.random.default_rng(5).lognormal(size=5000) * 10.0 ** np.arange(-5, 5).repeat(500)
     up = round_digits_up(values)
     assert (up >= values).all()
@@ -79,7 +80,7 @@ def test_written_scales_are_never_below_the_maxima():
     assert json.loads(json.dumps(up.tolist())) == up.tolist()
 
 
-def test_a_tail_is_fitted_beyond_the_largest_alone_and_marked():
+def test_what_runs_can_just_say_and_a_tail_is_fitted_beyond_the_largest_alone_and_marked():
     found = calibration(np.random.default_rng(6).exponential(size=4000) + 2.0)
     inside, beyond = found.point(0.01), found.point(0.001)
     assert (inside.extrapolated, inside.rank) == (False, 1)
@@ -93,6 +94,13 @@ def test_a_tail_is_fitted_beyond_the_largest_alone_and_marked():
     assert found.point(least * 1.001).extrapolated
     with pytest.raises(ValueError, match=r"for which 4000 clean runs are too few: it takes at lea"):
         found.point(least * 0.999)
+    assert 1.0 <= calibration(RUNS_499).point(0.999999 * MOST_499).scale < 7.0  # ranks are thinned
+    assert calibration(np.r_[np.zeros(1990), np.arange(1.0, 11.0)]).point(0.05).scale > 0.0
+    state = calibration(np.arange(1.0, 2001.0), bisected=True)  # which has no tail
+    with pytest.raises(ValueError, match=r"too few: it takes at least 11250$"):
+        state.point(0.002)
+    found = calibration(np.linspace(1.0, 2.0, 500), before=1.5)
+    assert [found.point(rate).warmup_alarms for rate in (2.0, 100.0)] == [0.0, 1.0]
 
 
 RUNS_499 = np.arange(1.0, 500.0)
@@ -111,24 +119,6 @@ MOST_499 = hourly_rate(499.0 / 500.0, WINDOW_S)
 def test_what_runs_cannot_say_is_refused(maxima, rate, said):
     with pytest.raises(ValueError, match=said):
         calibration(maxima).point(rate)
-
-
-def test_a_rate_is_by_the_hour_or_by_the_run():
-    with pytest.raises(ValueError, match=r"hour=0\.2 and per_run=0\.05"):
-        calibration(RUNS_499).point(0.2, per_run=0.05)
-    for per_run in (0.0, 1.0):
-        with pytest.raises(ValueError, match="`per_run` must be a number above 0 and below 1"):
-            calibration(RUNS_499).interval(per_run)
-
-
-def test_what_runs_can_just_say():
-    assert 1.0 <= calibration(RUNS_499).point(0.999999 * MOST_499).scale < 7.0  # ranks are thinned
-    assert calibration(np.r_[np.zeros(1990), np.arange(1.0, 11.0)]).point(0.05).scale > 0.0
-    state = calibration(np.arange(1.0, 2001.0), bisected=True)  # which has no tail
-    with pytest.raises(ValueError, match=r"too few: it takes at least 11250$"):
-        state.point(0.002)
-    found = calibration(np.linspace(1.0, 2.0, 500), before=1.5)
-    assert [found.point(rate).warmup_alarms for rate in (2.0, 100.0)] == [0.0, 1.0]
 
 
 def test_files(tmp_path):

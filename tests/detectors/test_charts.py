@@ -84,7 +84,6 @@ ENDED[120:180] = 0.3 * np.arange(60)
 
 
 def run(detector, offsets, seed=0, visible=True):
-    """Verdicts on one channel whose innovations have offsets [m]."""
     noise = 0.6 * np.random.default_rng(seed).standard_normal(len(offsets))
     z = padded((offsets + noise)[:, None])
     return judge_all(detector, z, np.diag([4.0, 1.0]), visible)
@@ -101,13 +100,12 @@ def test_the_joint_charts_alarm_begins_with_the_ewma_charts_and_ends_with_the_of
     assert ewma[100:105].all()
     np.testing.assert_array_equal(found.alarm, found.statistic > found.threshold)
     # chart and time index begin anew
-    assert found.statistic[100] == 0.0
-    assert found.weights[100, 0, 0] == 1.0
+    assert (found.statistic[100], found.weights[100, 0, 0]) == (0.0, 1.0)
     fresh = run(JointChart(), np.zeros(5))
     np.testing.assert_allclose(found.threshold[101:106], fresh.threshold)
 
 
-def test_until_its_first_end_the_joint_chart_says_what_the_ewma_chart_says():
+def test_until_its_first_end_the_joint_chart_is_the_ewma_chart_and_growing_is_no_end():
     rng = np.random.default_rng(3)
     S = belief(rng, 4, 60, 3)
     z = drawn(rng, S)
@@ -115,9 +113,6 @@ def test_until_its_first_end_the_joint_chart_says_what_the_ewma_chart_says():
     mine = judge_all(JointChart(max_exclusion_s=None, min_satellites=0), z, S)
     for one, other in zip(mine, judge_all(Ewma(), z, S), strict=True):
         np.testing.assert_array_equal(one, other)
-
-
-def test_growing_is_no_end_fading_ends_with_the_chart_and_the_printed_rule_ends_at_once():
     assert run(JointChart(), np.append(np.zeros(20), np.arange(200.0))).alarm[40:].all()
     fading = np.concatenate([np.zeros(20), np.full(40, 12.0), np.linspace(12.0, 0.0, 200)])
     fading = np.append(fading, np.zeros(30))
@@ -178,13 +173,10 @@ def test_the_satellites_that_deviate_least_are_kept(kind):
     np.testing.assert_array_equal(found == 1.0, ratios <= 6.0)
 
 
-def test_no_more_are_readmitted_than_there_are_and_without_limits_none():
+def test_exclusions_are_counted_where_limited_and_no_more_readmitted_than_there_are():
     assert (weights(JointChart(min_satellites=32), [3.0] * 6, 5) == 1.0).all()
     for detector in (Ewma(), JointChart(max_exclusion_s=None, min_satellites=0)):
         assert (weights(detector, [0.7] * 6, 200)[20:] == 0.0).all()
-
-
-def test_exclusions_are_counted_where_they_are_limited():
     limits = {"max_exclusion_s": 10.0}, {"min_satellites": 4}
     for settings in ({}, *limits, {**limits[1], "weight_scale": None}):  # the last has no weights
         detector = Ewma(**settings)

@@ -22,7 +22,7 @@ def judge_positions(detector, z, S):
     return stacked([detector.judge(blank._replace(innovation=each)) for each in z])
 
 
-def test_the_windows_sum_of_positions_has_three_degrees_an_epoch():
+def test_the_windows_sum_of_positions_has_three_degrees_an_epoch_once_it_is_full():
     rng = np.random.default_rng(0)
     S = belief(rng, 3)[:3, :3].copy()
     z = rng.standard_normal((12, B, 3))
@@ -39,15 +39,12 @@ def test_the_windows_sum_of_positions_has_three_degrees_an_epoch():
     found = judge_drifts(WindowedChi2(window=3), drifts)
     np.testing.assert_allclose(found.statistic[-1, :, 0], [2.0, 1.0])
     np.testing.assert_allclose(found.threshold[-1, :, 0], scipy.stats.chi2.isf(1e-5, [4, 2]))
-
-
-def test_nothing_is_judged_before_the_windows_are_full():
     estimated = WindowedChi2(window=3, covariance="estimated", covariance_window=20)
     alarms = judge_positions(estimated, np.full((30, 2, 3), 1e3), np.eye(3)).alarm[:, 0, 0]
     assert alarms.tolist() == [False] * 22 + [True] * 8
 
 
-def test_thresholds_of_an_estimated_covariance_lie_between_hotellings_and_chi_square():
+def test_thresholds_of_an_estimated_covariance_are_hotellings_and_keep_the_false_alarms():
     for w, want in ((20, 61.5), (30, 44.5), (50, 35.3), (100, 30.1)):
         threshold = estimated_covariance_thresholds(1e-5, 1, w, np.array([3.0]))[0]
         exact = 3.0 * w / (w - 2.0) * scipy.stats.f.isf(1e-5, 3, w - 2)
@@ -56,9 +53,6 @@ def test_thresholds_of_an_estimated_covariance_lie_between_hotellings_and_chi_sq
     rows = np.array([3.0, 30.0])
     limit = estimated_covariance_thresholds(1e-5, 10, 10**8, rows)
     np.testing.assert_allclose(limit, scipy.stats.chi2.isf(1e-5, rows), rtol=1e-5)
-
-
-def test_the_estimated_threshold_keeps_the_false_alarms_of_a_sampled_covariance():
     rng, runs, alpha, n, w = np.random.default_rng(2), 20_000, 0.01, 5, 30
     x, z = rng.standard_normal((runs, w, 3)), rng.standard_normal((runs, n, 3))
     S = np.einsum("bwi,bwj->bij", x, x) / w
@@ -86,8 +80,6 @@ def test_what_the_receiver_cannot_give_is_refused(settings, channels, said):
         WindowedChi2(**settings).bind(context(1, channels))
 
 
-# --- two sides -----------------------------------------------------------------------------------
-
 TWO_SIDED = {
     "snapshot": lambda **settings: SnapshotChi2(signals="both", **settings),
     "sequential": lambda **settings: SequentialChi2(window_s=5.0, signals="both", **settings),
@@ -96,7 +88,7 @@ TWO_SIDED = {
 
 
 @pytest.mark.parametrize("kind", TWO_SIDED)
-def test_each_side_alarms_as_often_as_stated_and_the_large_one_as_the_one_sided_test(kind):
+def test_each_side_alarms_as_often_as_stated_and_quiet_innovations_are_seen_by_two_alone(kind):
     receivers, made = 4000, TWO_SIDED[kind]
     z = np.random.default_rng(1).standard_normal((10, receivers, 2 * N))
     both = judge_all(made(false_alarm=0.1, two_sided=True), z)
@@ -108,10 +100,6 @@ def test_each_side_alarms_as_often_as_stated_and_the_large_one_as_the_one_sided_
     for alarms, alpha in ((last, 0.1), (last & ~large, 0.05)):
         low, high = likely(receivers, alpha)
         assert low <= alarms.sum() <= high
-
-
-@pytest.mark.parametrize("kind", TWO_SIDED)
-def test_quiet_innovations_are_seen_by_two_sides_and_never_by_one(kind):
     made, z = TWO_SIDED[kind], 0.3 * np.random.default_rng(1).standard_normal((20, 300, 2 * N))
     quiet = judge_all(made(false_alarm=1e-3, two_sided=True), z).alarm[-1]
     assert quiet.mean() > (0.4 if kind == "snapshot" else 0.99)

@@ -44,21 +44,18 @@ def test_literal_is_the_flowchart(n_j, n_s):
     np.testing.assert_array_equal(found.weights[..., 0], expected)
 
 
-def test_a_rule_can_be_switched_off():
-    drifts = [0.0, 9.0, 9.0, 9.0]
-    only_jump = Acna(variant="literal", slow_threshold_m=None)
-    assert judged(only_jump, drifts)[0].tolist() == [False, False, True, True]
-    only_slow = Acna(variant="literal", jump_threshold_m=None, slow_threshold_m=4.0)
-    assert judged(only_slow, drifts)[0].tolist() == [False, False, False, True]
-
-
-def test_the_statistic_is_continuous_in_units_of_the_threshold_and_of_all_coordinates():
+def test_the_statistic_is_continuous_of_all_coordinates_and_a_rule_can_be_switched_off():
     found = judge_drifts(Acna(variant="literal"), [0.6, 1.2, 1.2])
     np.testing.assert_allclose(found.statistic.ravel(), [0.6 / 5 / SLOW, 0.6 / JUMP, 1.2 / JUMP])
     detector = Acna(variant="literal", jump_window=1)
     detector.bind(fix_context(1))
     verdict = detector.judge(fix_epoch(np.array([[13.0, -6.0]]), np.array([[10.0, -2.0]])))
     assert verdict.statistic[0, 0] == pytest.approx(5.0 / JUMP)
+    drifts = [0.0, 9.0, 9.0, 9.0]
+    only_jump = Acna(variant="literal", slow_threshold_m=None)
+    assert judged(only_jump, drifts)[0].tolist() == [False, False, True, True]
+    only_slow = Acna(variant="literal", jump_threshold_m=None, slow_threshold_m=4.0)
+    assert judged(only_slow, drifts)[0].tolist() == [False, False, False, True]
 
 
 @pytest.mark.parametrize("variant", ["literal", "held", "production"])
@@ -101,7 +98,7 @@ def test_the_readmission_threshold_widens_with_the_outage_up_to_its_cap(
     assert weight[-1] == readmitted
 
 
-def test_an_exclusion_has_an_end_in_production():
+def test_an_exclusion_has_an_end_in_production_and_an_interruption_may_drift():
     drifts = QUIET + [30.0] * 80
     alarm, weight = judged(Acna(max_exclusion_s=60.0), drifts)
     assert weight[6:].argmax() == 61  # the first fix after 60 s of alarms
@@ -111,16 +108,13 @@ def test_an_exclusion_has_an_end_in_production():
     assert alarm[6:].all()
     _, weight = judged(Acna(max_exclusion_s=10.0), drifts, interval_s=0.5)
     assert weight[6:].argmax() == 21
-
-
-def test_production_allows_for_the_drift_of_an_interruption():
     alarm, weight = judged(Acna(), QUIET + [NAN] * 40 + [3.5, *QUIET])
     assert not alarm.any()
     assert weight.all()
     assert judged(Acna(variant="literal"), QUIET + [NAN] * 40 + [3.5] * 2)[0][-1]
 
 
-def test_rio_rejects_a_fix_beyond_the_limit_until_one_comes_near():
+def test_rio_rejects_by_dead_reckoning_first_and_by_the_estimate_until_a_fix_comes_near():
     alarm, weight = judged(Rio(), [1.0, 16.4, 16.6, 10.0, 5.1, 4.9, 16.4])
     assert alarm.tolist() == [False, False, True, True, True, False, False]
     np.testing.assert_array_equal(weight, 1.0 - alarm)
@@ -129,9 +123,6 @@ def test_rio_rejects_a_fix_beyond_the_limit_until_one_comes_near():
     assert found.alarm.ravel().tolist() == [True, False, True, False, False]
     assert not found.statistic[[1, 3]].any()
     assert found.weights[:, 0, 0].tolist() == [0.0, 1.0, 0.0, 1.0, 1.0]
-
-
-def test_rio_looks_at_dead_reckoning_first_and_at_the_estimate_later():
     detector = Rio()
     detector.bind(fix_context(1))
     near, far = np.array([[20.0, 0.0]]), np.array([[0.0, 0.0]])

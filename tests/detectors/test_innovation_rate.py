@@ -71,7 +71,6 @@ def stepped(size, channels=6, epochs=500, onset=200, seed=3):
 
 
 def run(detector, z, visible=True):
-    """Verdicts on (K, n) innovations of one receiver, at 1 Hz."""
     return judge_all(detector, padded(z), None, visible, 1.0)
 
 
@@ -145,8 +144,6 @@ def test_as_many_satellites_as_needed_keep_a_weight():
         assert found.alarm[220:, 0, :4].all()
 
 
-# --- oracles -------------------------------------------------------------------------------------
-
 ONSET = 150
 SIZES = {OracleStep: {"size_m": 20.0}, OracleRamp: {"rate_mps": 0.3}}
 
@@ -156,7 +153,6 @@ def oracle(kind, channels=("G01",), **settings):
 
 
 def judged(detector, z):
-    """Of a receiver whose belief is 4 m^2."""
     return judge_all(detector, padded(z), 4.0 * np.eye(2 * N), interval=1.0)
 
 

@@ -30,7 +30,6 @@ every_signal = pytest.mark.parametrize("signals", SIGNALS)
 
 
 def play():
-    """Innovations whose channels 1 jump, covariances that change, and satellites that go."""
     rng = np.random.default_rng(0)
     S = belief(rng, N, K, B)
     z = drawn(rng, S)
@@ -44,7 +43,6 @@ def play():
 
 
 def unbroken(x):
-    """Values since the last gap, with which all begins anew."""
     return x[np.append(-1, np.flatnonzero(np.isnan(x)))[-1] + 1 :]
 
 
@@ -88,7 +86,6 @@ def quantile(rows, seen):
 
 
 def shared(window, rows, seen):
-    """Threshold where all tests of an epoch share the false alarms."""
     return scipy.stats.chi2.isf(ALPHA / (window * rows * np.maximum(seen, 1)), 1)
 
 

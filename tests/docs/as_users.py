@@ -105,12 +105,10 @@ class Step(NamedTuple):
 
 
 def name_of(page: Path) -> str:
-    """A page's path in the checkout."""
     return page.relative_to(ROOT).as_posix()
 
 
 def languages_of(page: Path) -> set[str]:
-    """Languages of a page's blocks."""
     return {found["language"] for found in PART.finditer(page.read_text()) if found["language"]}
 
 
@@ -133,7 +131,6 @@ def steps_of(page: Path) -> list[Step]:
 
 
 def lines_of(block: str) -> list[str]:
-    """Commands of a block, without their comments."""
     lines = re.sub(r"\\\n\s*", "", block).splitlines()
     return [bare for line in lines if (bare := re.sub(r"(^|\s+)# .*", "", line).strip())]
 
@@ -148,7 +145,6 @@ def form_of(command: str) -> str | None:
 
 
 def code_of(block: str) -> str:
-    """What is run of a block of Python."""
     for part, smaller in SMALLER_CODE.items():
         block = block.replace(part, smaller)
     return block

@@ -16,7 +16,6 @@ BLOCK = re.compile(r"(?:<!-- needs (\w+) -->\n)?```python\n(.*?)```", flags=re.D
 
 
 def text_of(name: str) -> str:
-    """A page of the docs, or one beside them."""
     page = ROOT / name
     return (page if page.is_file() else ROOT / "docs" / name).read_text()
 

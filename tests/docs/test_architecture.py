@@ -16,12 +16,18 @@ def places(path):
     return [top / path for top in (ROOT / "spoofgym", ROOT) if (top / path).exists()]
 
 
-def test_the_picture_is_that_of_the_layers():
+def test_picture_and_rooms_of_the_page_are_the_layers_from_top_to_bottom():
     house = runpy.run_path(str(ROOT / "docs" / "house.py"))
     assert (ROOT / "docs" / "house.svg").read_text() == house["draw"]()
+    (table,) = re.findall(r"## The house\n.*?(\| room .*?)\n\n", PAGE, flags=re.DOTALL)
+    rooms = [re.match(r"\w+", SPAN.search(row)[1])[0] for row in table.splitlines()[2:]]
+    floors = runpy.run_path(str(ROOT / "docs" / "house.py"))["floors"]()
+    level = {name: k for k, floor in enumerate(floors) for name in floor}
+    assert {*rooms} == {*level}
+    assert [level[room] for room in rooms] == sorted(level[room] for room in rooms)
 
 
-def test_what_a_row_names_is_in_a_file_of_the_row():
+def test_the_paths_of_the_page_exist_and_what_a_row_names_is_in_a_file_of_the_row():
     for row in ROWS:
         spans = SPAN.findall(row)
         files = [place for span in spans for place in places(span) if place.is_file()]
@@ -30,9 +36,6 @@ def test_what_a_row_names_is_in_a_file_of_the_row():
             if re.fullmatch(r"[A-Za-z_.]+", span) and not span.endswith((".py", "/")):
                 for name in span.split("."):
                     assert re.search(rf"\b{name}\b", sources), (name, row)
-
-
-def test_the_paths_of_the_page_exist():
     (flow,) = re.findall(r"```text\n(.*?)```", PAGE, flags=re.DOTALL)  # of a step
     paths = re.findall(r"(?<=\s)[\w/]+\.py", flow)
     assert len(paths) > 10
@@ -61,12 +64,3 @@ def test_every_file_of_the_package_stands_in_the_tree_once():
         (bare if only else files).add(name)
     assert len(found) == len(set(found))
     assert files <= set(found) <= files | bare
-
-
-def test_the_rooms_of_the_page_are_the_layers_from_top_to_bottom():
-    (table,) = re.findall(r"## The house\n.*?(\| room .*?)\n\n", PAGE, flags=re.DOTALL)
-    rooms = [re.match(r"\w+", SPAN.search(row)[1])[0] for row in table.splitlines()[2:]]
-    floors = runpy.run_path(str(ROOT / "docs" / "house.py"))["floors"]()
-    level = {name: k for k, floor in enumerate(floors) for name in floor}
-    assert {*rooms} == {*level}
-    assert [level[room] for room in rooms] == sorted(level[room] for room in rooms)

@@ -173,15 +173,12 @@ def test_what_is_declared_is_on_the_pages():
     assert {*BESIDE, *CODE_FIRST} <= {*PLAYED}
 
 
-def test_all_papers_and_their_quick_form_are_among_the_commands():
+def test_all_papers_are_among_the_commands_and_options_take_the_place_of_others():
     commands = {step.text for steps in STEPS.values() for step in steps}
     assert {f"python -m baselines.papers {key}" for key in KEYS} <= commands
     quick = "python -m baselines.papers all --quick"
     assert quick in commands
     assert form_of(quick) == quick
-
-
-def test_options_take_the_place_of_others():
     line = "python -m x --seeds 5 6 7 --out runs/x --steps 40000"
     smaller = "python -m x --out runs/x --seeds 0 --steps 2"
     assert with_options(line, "--seeds 0 --steps 2") == smaller

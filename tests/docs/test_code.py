@@ -20,8 +20,6 @@ SHORT = {"warmup_s": 10.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 1
 
 @pytest.fixture
 def played(monkeypatch, capsys):
-    """Plays a page's blocks, where the modules are there that it needs; names, and lines."""
-
     def play_page(page, *needed, smaller=()):
         for module in needed:
             pytest.importorskip(module)
@@ -45,12 +43,9 @@ def test_the_code_of_a_page_runs(page, needed, played):
     played(page, *needed)
 
 
-def test_the_code_on_own_data_prints_what_the_page_says(played):
+def test_the_code_on_own_data_and_on_learning_prints_what_the_pages_say(played):
     _, printed = played("own_data.md")
     assert f"It prints `{printed[0]}`" in text_of("own_data.md")
-
-
-def test_the_code_on_learning_prints_what_the_page_says(played):
     _, printed = played("learning.md", "stable_baselines3")
     assert printed[0] == "3600 epochs, 360 decisions"
     assert float(printed[1].split()[0]) >= 60.0
@@ -85,15 +80,12 @@ def test_every_threat_has_its_two_rows_and_the_code_plays_them(played):
         assert undetected >= east - 1e-9 or alarmed > 0.0
 
 
-def test_a_learned_detector_is_written_as_the_catalogue_says(played):
+def test_detectors_of_the_catalogue_and_the_contributors_guide_keep_the_contract(played):
     code, _ = played("catalogue.md", "onnxscript")
     assert sorted(path.name for path in Path().iterdir()) == ["guard.json", "guard.onnx"]
     card = DetectorCard.load("guard.json")
     assert card == code.card
     assert [each.name for each in card.state] == ["hidden"]
-
-
-def test_the_detector_and_the_attack_of_the_contributors_guide_keep_the_contract(played):
     page = played("CONTRIBUTING.md")[0]
     check_detector(page.CumulativeSum())
     check_attack(page.ClockPush())

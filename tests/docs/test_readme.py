@@ -36,7 +36,6 @@ SMALLER = [
 
 @pytest.fixture
 def saved(monkeypatch):
-    """The README's detector, saved as the module that it names."""
     module = types.ModuleType("my_detector")
     monkeypatch.setitem(sys.modules, module.__name__, module)  # pickle looks classes up
     assert f"Saved as `{module.__name__}.py`" in README
@@ -52,7 +51,7 @@ def test_every_block_of_code_runs_and_prints_what_stands_there(capsys, monkeypat
     assert re.findall(r"It prints `(.*?)`", README) == printed[:2]
 
 
-def test_detector_campaign_and_extras_are_those_that_it_names(saved, full):
+def test_detector_campaign_extras_and_times_are_those_that_it_names(saved, full):
     check_detector(saved.AverageRate())
     (command,) = re.findall(r"^spoofgym bench.*", README, flags=re.MULTILINE)
     assert command.startswith(f"{full['command']} --detector my_detector:AverageRate ")
@@ -61,16 +60,13 @@ def test_detector_campaign_and_extras_are_those_that_it_names(saved, full):
     named = {extra for line in more for extra in line.split(",")}
     assert first == ""
     assert {"report", "flights", "train"} <= named <= {*extras}
-
-
-def test_what_it_says_of_times_holds():
     settings = get_task("T3").world_kwargs
     assert (settings["scenario"], settings["receiver"]) == (WORLD, "matched")
     line = Timeline(**settings.get("timeline", {}))
     assert f"attacks last {line.attack_s:.0f} s" in README
 
 
-def test_the_rivals_of_the_training_are_those_of_the_table(full):
+def test_table_and_rivals_are_those_of_the_full_run(full):
     reached = {
         cell["spoofer"].partition("(")[0]: cell["stealthy_displacement_m"]
         for cell in full["cells"]
@@ -82,6 +78,12 @@ def test_the_rivals_of_the_training_are_those_of_the_table(full):
         ("accelerating-ramp", "{value:.1f} m of an accelerating ramp"),
     ):
         assert said.format_map(reached[name]) in README
+    picture = "\n![The campaign](docs/campaign.png)\n"
+    assert part_between(README, START, END) == f"\n{shown(full)}{picture}"
+    assert full["campaign"] in README
+    names = [label(row["detector"]) for row in select_rows(full)]
+    assert names[:3] == ["never", "lottery", "solution-separation"]
+    assert all("range_rate" in name for name in names[3 : 3 + len(RANGE_RATE_TESTS)])
 
 
 def test_the_first_output_is_typical_of_its_push():
@@ -110,17 +112,7 @@ def test_the_first_output_is_typical_of_its_push():
 
 @pytest.fixture(scope="module")
 def full():
-    """The stored full run."""
     return json.loads(FULL.read_text())["worlds"][WORLD]
-
-
-def test_the_table_is_that_of_the_full_run(full):
-    picture = "\n![The campaign](docs/campaign.png)\n"
-    assert part_between(README, START, END) == f"\n{shown(full)}{picture}"
-    assert full["campaign"] in README
-    names = [label(row["detector"]) for row in select_rows(full)]
-    assert names[:3] == ["never", "lottery", "solution-separation"]
-    assert all("range_rate" in name for name in names[3 : 3 + len(RANGE_RATE_TESTS)])
 
 
 def test_make_bench_plays_rows_of_the_full_run_and_agrees_by_interval(full):

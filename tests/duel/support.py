@@ -29,7 +29,6 @@ def parallel(**kwargs: Any) -> Any:
 
 
 def wary(observation: np.ndarray) -> np.ndarray:
-    """Policy of the largest average innovation, which trusts satellites with small ones."""
     average = np.abs(observation[:, 24 : 24 + SATELLITES].astype(np.float64))
     statistic = average.max(axis=1, keepdims=True) / 15.0 - 1.0
     return np.clip(np.hstack([statistic, 1.5 - average]), -1.0, 1.0)

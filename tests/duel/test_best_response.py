@@ -83,15 +83,12 @@ def test_without_oracles_and_a_search_no_such_spoofer_answers():
     assert found.by_family["mine"].spec == wins.spec
 
 
-def test_the_best_detector_concedes_the_least():
+def test_the_best_detector_concedes_the_least_and_what_a_side_gains_is_paired():
     detectors = [make_player(spec, "detector") for spec in (CHI2, SHARP, SEPARATION)]
     mix = mix_of("spoofer", {"name": "ramp", "rate_mps": 0.8})
     found = best_detector(game(), mix, detectors, runs=6, entropy=0)
     assert found.value == min(found.best.values()) < max(found.best.values())
     assert found.member in detectors
-
-
-def test_what_a_side_gains_is_paired_and_nothing_for_its_own_mix():
     spoofers, detectors = mix_of("spoofer", RAMP), mix_of("detector", SHARP, SEPARATION)
     fresh = game(split="evaluation")
     fast = make_player({"name": "accelerating-ramp"}, "spoofer")

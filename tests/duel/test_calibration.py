@@ -19,7 +19,6 @@ SETTINGS = {**BRIEF, "runs": 60, "false_alarm": 0.1, "receivers": 30}
 
 
 def calibration(maxima):
-    """Calibration from the largest ratios of clean runs of a minute."""
     world = {"world": {}, "detector": {"name": "x"}, "entropy": 0, "seed_name": "x"}
     ranks = list_stored_ranks(len(maxima), 60.0)
     return Calibration.from_maxima(maxima, maxima, ranks=ranks, window_s=60.0, **world)
@@ -37,11 +36,7 @@ def test_an_interval_of_order_statistics_covers_the_quantile_and_no_narrower_one
     assert above(n - high) < 0.05 <= above(n - high + 1)
 
 
-def test_few_runs_tell_no_upper_end():
-    assert calibration(np.arange(1.0, 20.0)).interval(0.05) == (pytest.approx(16.0), np.inf)
-
-
-def test_the_threshold_does_not_depend_on_the_size_of_the_batch():
+def test_the_threshold_does_not_depend_on_the_batch_and_few_runs_tell_no_upper_end():
     first = duel_v0.calibrate_policy(wary, **SETTINGS)
     again = duel_v0.calibrate_policy(wary, **{**SETTINGS, "receivers": 17})
     assert first == again
@@ -50,6 +45,7 @@ def test_the_threshold_does_not_depend_on_the_size_of_the_batch():
     late = duel_v0.calibrate_policy(wary, **SETTINGS, decision_delay=1)
     assert late.world != first.world
     assert threshold_of(late) != threshold_of(first)
+    assert calibration(np.arange(1.0, 20.0)).interval(0.05) == (pytest.approx(16.0), np.inf)
 
 
 @pytest.mark.parametrize("delay", [0, 1])

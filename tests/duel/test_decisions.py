@@ -166,7 +166,6 @@ def test_an_exclusion_that_is_refused_uses_up_nothing():
 
 
 def told(duel, count):
-    """What both agents are told over some steps of either form."""
     actions, found = {"spoofer_0": np.ones(2), "detector_0": QUIET}, []
     for _ in range(count):
         if hasattr(duel, "agent_selection"):

@@ -24,8 +24,7 @@ def test_known_games_have_their_mixes(payoff, rows, columns, value):
     found = solve(payoff)
     np.testing.assert_allclose(found.spoofer, rows, atol=1e-9)
     np.testing.assert_allclose(found.detector, columns, atol=1e-9)
-    assert found.value == pytest.approx(value, abs=1e-9)
-    assert found.pure == (max(rows) == 1)
+    assert (found.value, found.pure) == (pytest.approx(value, abs=1e-9), max(rows) == 1)
 
 
 @pytest.mark.parametrize("seed", range(8))

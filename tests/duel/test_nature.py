@@ -34,7 +34,7 @@ def test_half_of_the_episodes_are_attacked():
     np.testing.assert_allclose(share, [0.25, 0.0, 0.75], atol=0.03)
 
 
-def test_a_clean_episode_is_the_clean_run_whatever_is_commanded_and_pays_nothing():
+def test_a_clean_episode_is_the_clean_run_and_pays_nothing_but_for_false_alarms():
     env = parallel(threshold=1.0)
     found = {seed: run(env, seed)[0][2]["spoofer_0"]["attacked"] for seed in range(8)}
     assert {True, False} == set(found.values())
@@ -48,9 +48,13 @@ def test_a_clean_episode_is_the_clean_run_whatever_is_commanded_and_pays_nothing
     for _, rewards, _ in trace:
         assert rewards == {"spoofer_0": 0.0, "detector_0": 0.0}
     assert trace[-1][2]["spoofer_0"]["undetected_displacement_m"] == 0.0
+    payoff = {"name": "weighted", "false_alarm": 7.0, "error_per_m": 0.0}
+    env = parallel(attack_probability=0.0, payoff=payoff, threshold=0.5)
+    _, (_, rewards, _) = run(env, 2, decision=ALARM)
+    assert rewards == {"spoofer_0": 0.0, "detector_0": -7.0}
 
 
-def test_the_detector_is_not_told_of_an_attack():
+def test_the_detector_is_not_told_of_an_attack_and_observes_no_truth():
     """Until the measurements differ, attacked and clean episodes look alike to the detector."""
     env, clean = parallel(attack_probability=1.0), parallel(attack_probability=0.0)
     ours, theirs = run(env, 5, push=np.zeros(2)), run(clean, 5, push=np.zeros(2))
@@ -67,10 +71,7 @@ def test_the_detector_is_not_told_of_an_attack():
         assert not info.get("attacked")
         *_, over, _, info = view.step(QUIET)
     assert info["attacked"]
-
-
-def test_the_detector_observes_no_truth():
-    """Its observation is the same when the sensors' true errors are deleted after a measurement."""
+    # its observation is the same when the sensors' true errors are deleted after a measurement
     env = aec(attack_probability=1.0)
     env.reset(seed=3)
     env.step(PUSH)
@@ -95,10 +96,3 @@ def test_the_return_is_the_undetected_displacement(payoff, late):
     induced = trace[-1][2]["spoofer_0"]["undetected_displacement_m"]
     assert induced > 1.0
     assert paid == pytest.approx(induced + late * (len(trace) - 1), rel=1e-9)
-
-
-def test_the_weighted_payoff_charges_false_alarms_to_the_detector_alone():
-    payoff = {"name": "weighted", "false_alarm": 7.0, "error_per_m": 0.0}
-    env = parallel(attack_probability=0.0, payoff=payoff, threshold=0.5)
-    _, (_, rewards, _) = run(env, 2, decision=ALARM)
-    assert rewards == {"spoofer_0": 0.0, "detector_0": -7.0}

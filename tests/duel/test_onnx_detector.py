@@ -20,7 +20,6 @@ SETTINGS = {**BRIEF, "runs": 19}
 
 @pytest.fixture
 def file(tmp_path):
-    """Network of random weights, with a card that has its threshold."""
     view = duel_v0.DetectorView(**BRIEF)
     path = tmp_path / "guard.onnx"
     sizes = view.observation_space.shape[0], view.action_space.shape[0]
@@ -64,8 +63,7 @@ def test_a_file_is_calibrated_by_the_mechanism_of_all_detectors(file, tmp_path, 
     check(setup, [found], judge)
     view = duel_v0.SpooferView(asked, **BRIEF)
     (member,) = view.core.setup.detector.judges
-    assert member.scale == found.point(20.0).scale
-    assert member.detector.quiet_epochs == setup.live
+    assert (member.scale, member.detector.quiet_epochs) == (found.point(20.0).scale, setup.live)
     own = duel_v0.calibrate_policy(
         duel_v0.OnnxDetector(file),
         **BRIEF,

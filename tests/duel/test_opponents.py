@@ -10,8 +10,6 @@ from .support import BRIEF, QUIET
 
 
 class Odd(Spoofer):
-    """Does the same thing for ever."""
-
     knowledge = "blind"
 
     def __init__(self, action):
@@ -44,7 +42,7 @@ def test_a_spoofer_that_breaks_the_contract_is_named(action, message):
             steps(envs, 1, seed=1)
 
 
-def test_a_spoofer_starts_again_only_where_an_episode_does():
+def test_receivers_begin_again_with_their_episodes_and_decide_at_times_of_their_own():
     envs = duel_v0.DetectorVectorView(3, "ramp", **BRIEF, autoreset_mode="disabled")
     envs.reset(seed=1)
     memory = envs.core.pool._spoofers[0].memory
@@ -52,6 +50,19 @@ def test_a_spoofer_starts_again_only_where_an_episode_does():
     assert memory["step"].tolist() == [3.0, 3.0, 3.0]  # the coming epoch has been commanded, too
     envs.reset(options={"reset_mask": np.array([False, True, False])})
     assert memory["step"].tolist() == [3.0, 1.0, 3.0]
+    envs = duel_v0.DetectorVectorView(
+        2, Sweep("linear", 1.5), **BRIEF, autoreset_mode="disabled", attack_probability=1.0
+    )
+    envs.reset(seed=1)
+    steps(envs, 2)
+    envs.reset(options={"reset_mask": np.array([False, True])})
+    assert envs.core.duel.snapshot().step.tolist() == [2, 0]  # of a duel's observers, too
+    simulator, moved = envs.core.duel.core.engine.simulator, []
+    for _ in range(7):
+        steps(envs)
+        moved.append(simulator.commanded_displacement.copy())
+    moved = np.array(moved)
+    np.testing.assert_array_equal(moved[:-2, 0], moved[2:, 1])
 
 
 def test_every_spoofer_commands_in_double_precision_whoever_acts_first():
@@ -72,8 +83,6 @@ class Even(Odd):
 
 
 class Sweep(Spoofer):
-    """Pushes by the time that is left, and decides seldom."""
-
     knowledge = "blind"
 
     def __init__(self, between="hold", decision_interval_s=None):
@@ -107,25 +116,7 @@ def test_a_spoofer_that_decides_seldom_does_so_in_a_pool(between, delay):
     assert (moved["own"][-1, ~late] != moved["world"][-1, ~late]).any()
 
 
-def test_receivers_that_began_at_different_times_have_decisions_of_their_own():
-    envs = duel_v0.DetectorVectorView(
-        2, Sweep("linear", 1.5), **BRIEF, autoreset_mode="disabled", attack_probability=1.0
-    )
-    envs.reset(seed=1)
-    steps(envs, 2)
-    envs.reset(options={"reset_mask": np.array([False, True])})
-    assert envs.core.duel.snapshot().step.tolist() == [2, 0]  # of a duel's observers, too
-    simulator, moved = envs.core.duel.core.engine.simulator, []
-    for _ in range(7):
-        steps(envs)
-        moved.append(simulator.commanded_displacement.copy())
-    moved = np.array(moved)
-    np.testing.assert_array_equal(moved[:-2, 0], moved[2:, 1])
-
-
 class Told(Spoofer):
-    """Keeps what it observes, and does nothing."""
-
     knowledge = "blind+reported"
     seen = ()
 

@@ -78,7 +78,7 @@ def test_the_aec_form_keeps_the_exact_order():
     assert env.metadata["decision_delay"] == 0
 
 
-def test_bad_actions_name_the_agent():
+def test_bad_actions_name_the_agent_and_bad_arguments_the_valid_ones():
     env = parallel()
     with pytest.raises(RuntimeError, match="reset"):
         env.step({})
@@ -105,9 +105,6 @@ def test_bad_actions_name_the_agent():
     env.step(np.zeros(2))
     with pytest.raises(ValueError, match=r"detector_0: .*shape \(13,\)"):
         env.step(np.zeros(2))
-
-
-def test_raw_env_names_its_valid_arguments():
     with pytest.raises(TypeError, match=r"^duel_v0.env has no argument 'thresholds'") as told:
         duel_v0.raw_env(thresholds=0.5)
     valid = str(told.value).partition("valid: ")[2].partition(";")[0].split(", ")

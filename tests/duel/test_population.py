@@ -62,7 +62,7 @@ def test_a_shared_pass_equals_separate_ones_to_the_last_bit(played):
             assert np.array_equal(matrix.alarmed[i, j], runs.first_alarm > 0)
 
 
-def test_all_entries_have_the_same_runs(played):
+def test_all_entries_have_the_same_runs_and_a_mixture_is_worth_its_members_average(played):
     _, matrix = played
     never_alarm = [j for j in range(2) if not matrix.alarmed[1, j].any()]
     assert never_alarm == [0, 1]  # so that the next line is about two detectors
@@ -84,17 +84,6 @@ def test_all_entries_have_the_same_runs(played):
     np.testing.assert_allclose(part.values, matrix.values[1:2, 2:3])
     fewer = game(runs=RUNS - 2).matrix([SPOOFERS[1]], [DETECTORS[2]])
     np.testing.assert_array_equal(fewer.displacement[0, 0], matrix.displacement[1, 2, : RUNS - 2])
-
-
-def test_payoffs_need_no_budget():
-    moved = np.array([0.0, 2.0, 9.0, 9.0])
-    alarmed = np.array([False, False, False, True])
-    stealth, hmi = RunPayoff("stealth", 8.0), RunPayoff("hmi", 8.0)
-    np.testing.assert_array_equal(stealth.worth(moved, alarmed), [0.0, 0.25, 1.0, 0.0])
-    np.testing.assert_array_equal(hmi.worth(moved, alarmed), [0.0, 0.0, 1.0, 1.0])
-
-
-def test_a_mixture_is_worth_what_its_members_are_on_average(played):
     found, matrix = played
     who = mixture("half", [matrix.spoofers[1], matrix.spoofers[2]], [1.0, 1.0])
     whom = mixture("third", [matrix.detectors[0], matrix.detectors[2]], [1.0, 2.0])
@@ -109,7 +98,20 @@ def test_a_mixture_is_worth_what_its_members_are_on_average(played):
         mixed.mixes(mixed.solve())
 
 
-def test_an_equilibrium_is_a_pool_for_both_sides(played):
+def test_payoffs_need_no_budget_and_a_task_brings_its_world_and_its_alert_limit():
+    moved = np.array([0.0, 2.0, 9.0, 9.0])
+    alarmed = np.array([False, False, False, True])
+    stealth, hmi = RunPayoff("stealth", 8.0), RunPayoff("hmi", 8.0)
+    np.testing.assert_array_equal(stealth.worth(moved, alarmed), [0.0, 0.25, 1.0, 0.0])
+    np.testing.assert_array_equal(hmi.worth(moved, alarmed), [0.0, 0.0, 1.0, 1.0])
+    found = Game("T3")
+    assert (found.payoff.limit_m, found.setup.name) == (20.0, "trolley")
+    for task, limit_m, words in (("T1", None, "limit_m"), ("T3", 0.0, r"limit_m.*got 0")):
+        with pytest.raises(ValueError, match=words):
+            Game(task, limit_m=limit_m)
+
+
+def test_an_equilibrium_is_a_pool_for_both_sides_and_an_oracle_is_marked(played):
     _, matrix = played
     spoofers, detectors = matrix.mixes(matrix.solve())
     pool = json.loads(json.dumps(detectors.pool()))
@@ -121,6 +123,12 @@ def test_an_equilibrium_is_a_pool_for_both_sides(played):
     assert json.dumps(matrix.as_json(), allow_nan=False)
     assert sum(spoofers.weights) == pytest.approx(1.0)
     assert matrix.seeds in detectors.decided_on
+    found, matrix = played
+    told = [each.get("knowledge") for each in matrix.as_json()["spoofers"]]
+    assert told == ["blind", "blind", "blind", "oracle"]
+    with pytest.raises(ValueError, match=r"feedback: an oracle.*`oracles=True` \(--oracles\)"):
+        found.matrix(SPOOFERS, [CHI2])
+    assert found.matrix(["none", "feedback"], [CHI2]).values.shape == (2, 1)
 
 
 def test_what_is_finished_is_not_played_again_and_is_the_same(tmp_path, monkeypatch, played):
@@ -208,15 +216,6 @@ def test_what_is_shipped_says_by_its_card_what_decided_on_it(played, monkeypatch
         make_player("ewma-profile", "spoofer")
 
 
-def test_an_oracle_is_marked_and_not_compared_unasked(played):
-    found, matrix = played
-    told = [each.get("knowledge") for each in matrix.as_json()["spoofers"]]
-    assert told == ["blind", "blind", "blind", "oracle"]
-    with pytest.raises(ValueError, match=r"feedback: an oracle.*`oracles=True` \(--oracles\)"):
-        found.matrix(SPOOFERS, [CHI2])
-    assert found.matrix(["none", "feedback"], [CHI2]).values.shape == (2, 1)
-
-
 @pytest.mark.parametrize(
     ("spoofers", "detectors", "words"),
     [
@@ -265,13 +264,3 @@ def test_a_detector_that_leaves_no_run_has_no_payoff():
     assert np.isnan(matrix.values).tolist() == [[False, True]]
     with pytest.raises(ValueError, match=r"ramp\(rate_mps=0.2\) against snapshot-chi2.*no payoff"):
         matrix.solve()
-
-
-def test_a_task_brings_its_world_and_its_alert_limit():
-    found = Game("T3")
-    assert found.payoff.limit_m == 20.0
-    assert found.setup.name == "trolley"
-    with pytest.raises(ValueError, match="limit_m"):
-        Game("T1")
-    with pytest.raises(ValueError, match=r"limit_m.*got 0"):
-        Game("T3", limit_m=0.0)

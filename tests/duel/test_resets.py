@@ -27,7 +27,6 @@ VECTOR = {
 
 
 def batch_of(env):
-    """Receivers of an environment of any kind."""
     inner = env.unwrapped
     duel = inner.duel if hasattr(inner, "duel") else getattr(inner.core, "duel", None)
     return (inner.core if duel is None else duel.core).engine.simulator
@@ -42,8 +41,7 @@ def circumstances(env):
 
 def check_told(env, rows=slice(None)):
     world, begun, heading = circumstances(env)
-    assert set(world[rows]) == {1}
-    assert set(begun[rows]) == {12.0 + SHORT["warmup_s"]}
+    assert (set(world[rows]), set(begun[rows])) == ({1}, {12.0 + SHORT["warmup_s"]})
     np.testing.assert_allclose(heading[rows], 45.0)
 
 
@@ -82,8 +80,7 @@ def test_a_batch(name):
     envs = VECTOR[name](autoreset_mode="disabled")
     envs.reset(seed=3, options={"domain": {**TOLD, "world": [1, 0, 1]}})
     world, begun, _ = circumstances(envs)
-    assert world.tolist() == [1, 0, 1]
-    assert set(begun) == {32.0}
+    assert (world.tolist(), set(begun)) == ([1, 0, 1], {32.0})
     envs.reset(seed=3)
     before = circumstances(envs)
     mask = np.array([True, False, True])

@@ -62,7 +62,6 @@ def weights_of(algorithm, side):
 
 
 def moved(before, after):
-    """Whether any weight is another one."""
     return any(not np.array_equal(before[name], after[name]) for name in before)
 
 

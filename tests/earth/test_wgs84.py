@@ -1,4 +1,4 @@
-"""The ellipsoid and its gravity against closed forms and published values."""
+"""Ellipsoid, gravity, frames, ranges and rates: closed forms, round trips, published values."""
 
 import math
 
@@ -14,10 +14,16 @@ from spoofgym.earth.wgs84 import (
     EQUATORIAL_RADIUS,
     GRAVITATIONAL_CONSTANT,
     J2,
+    SPEED_OF_LIGHT,
+    STILL,
+    dcm_e_from_n,
+    ecef_to_geodetic,
     geocentric_surface_radius,
     geodetic_to_ecef,
     gravity,
     radii_of_curvature,
+    range_and_rate,
+    turning_of_local_axes,
 )
 
 pytestmark = pytest.mark.nojit
@@ -25,10 +31,14 @@ POLAR_RADIUS = EQUATORIAL_RADIUS * math.sqrt(1.0 - ECCENTRICITY_SQUARED)
 LATITUDES = st.floats(-math.pi / 2, math.pi / 2)
 
 
-def test_the_ellipsoid_is_that_of_wgs84():
+def test_the_ellipsoid_is_that_of_wgs84_and_positions_on_the_surface_satisfy_its_equation():
     assert abs(POLAR_RADIUS - 6356752.3142) < 1e-3
     assert pytest.approx(298.257223563, rel=1e-9) == 1.0 / (1.0 - POLAR_RADIUS / EQUATORIAL_RADIUS)
     assert ECCENTRICITY**2 == ECCENTRICITY_SQUARED
+    latitude = np.linspace(-math.pi / 2, math.pi / 2, 91)
+    x, y, z = np.moveaxis(geodetic_to_ecef(latitude, 0.7, 0.0), -1, 0)
+    form = (x**2 + y**2) / EQUATORIAL_RADIUS**2 + z**2 / POLAR_RADIUS**2
+    np.testing.assert_allclose(form, 1.0, rtol=1e-14)
 
 
 @given(LATITUDES)
@@ -83,3 +93,122 @@ def test_gravity_is_the_gradient_of_its_potential(latitude, height):
     gradient = [(potential(point + s) - potential(point - s)) / (2.0 * h) for s in steps]
     np.testing.assert_allclose(gravity(*point), gradient, rtol=0, atol=1e-8)
     assert gravity(0.0, 0.0, 0.0) == (0.0, 0.0, 0.0)
+
+
+LONGITUDES = st.floats(-math.pi, math.pi)
+
+
+@pytest.mark.parametrize(
+    ("geodetic", "position"),
+    [
+        ((0.0, 0.0, 0.0), (EQUATORIAL_RADIUS, 0.0, 0.0)),
+        ((0.0, math.pi / 2, 100.0), (0.0, EQUATORIAL_RADIUS + 100.0, 0.0)),
+        ((0.0, math.pi, 0.0), (-EQUATORIAL_RADIUS, 0.0, 0.0)),
+        ((math.pi / 2, 0.0, 50.0), (0.0, 0.0, POLAR_RADIUS + 50.0)),
+    ],
+)
+def test_positions_on_the_axes(geodetic, position):
+    np.testing.assert_allclose(geodetic_to_ecef(*geodetic), position, rtol=0, atol=2e-9)
+    latitude, longitude, height = ecef_to_geodetic(position)
+    assert latitude == pytest.approx(geodetic[0], abs=1e-15)
+    assert height == pytest.approx(geodetic[2], abs=2e-9)
+    if abs(geodetic[0]) < 1.0:
+        assert longitude == pytest.approx(geodetic[1], abs=1e-15)
+
+
+@given(LATITUDES, LONGITUDES, st.floats(-1e4, 3e7))
+def test_to_ecef_and_back(latitude, longitude, height):
+    position = geodetic_to_ecef(latitude, longitude, height)
+    found = ecef_to_geodetic(position)
+    np.testing.assert_allclose(geodetic_to_ecef(*found), position, rtol=0, atol=2e-8)
+    assert found[0] == pytest.approx(latitude, abs=1e-14)
+    assert found[2] == pytest.approx(height, abs=2e-8)
+
+
+@given(LATITUDES, LONGITUDES)
+def test_local_axes_are_north_east_and_down(latitude, longitude):
+    C_en = dcm_e_from_n(latitude, longitude)
+    np.testing.assert_allclose(C_en.T @ C_en, np.eye(3), rtol=0, atol=1e-15)
+    assert np.linalg.det(C_en) == pytest.approx(1.0, abs=1e-15)
+    assert C_en[2, 1] == 0.0  # east is level with the equator
+    up = geodetic_to_ecef(latitude, longitude, 1000.0) - geodetic_to_ecef(latitude, longitude, 0)
+    np.testing.assert_allclose(up, -1000.0 * C_en[:, 2], rtol=0, atol=1e-8)
+    h = 1e-6
+    south, north = geodetic_to_ecef([latitude - h, latitude + h], longitude, 0.0)
+    along = (north - south) / np.linalg.norm(north - south)
+    np.testing.assert_allclose(along, C_en[:, 0], rtol=0, atol=1e-7)
+
+
+def test_local_axes_turn_as_their_differences_say():
+    rng = np.random.default_rng(4)
+    latitude, longitude = rng.uniform((-1.3, -3.0), (1.3, 3.0), (20, 2)).T
+    position = geodetic_to_ecef(latitude, longitude, rng.uniform(0.0, 2e4, 20))
+    velocity = rng.normal(0.0, 200.0, (20, 3))
+
+    def axes(seconds):
+        return dcm_e_from_n(*ecef_to_geodetic(position + seconds * velocity)[:2])
+
+    change = (axes(0.5) - axes(-0.5)) / 1.0
+    np.testing.assert_allclose(turning_of_local_axes(position, velocity), change, atol=1e-11)
+    one = turning_of_local_axes(position[3], velocity[3])
+    np.testing.assert_allclose(one, turning_of_local_axes(position, velocity)[3], rtol=1e-13)
+
+
+ORBIT = 2.656e7
+SPIN = np.array([0.0, 0.0, EARTH_RATE])
+DIRECTIONS = st.tuples(st.floats(-1.4, 1.4), st.floats(-3.0, 3.0))
+ANTENNAS = st.tuples(st.floats(-1.5, 1.5), st.floats(-3.0, 3.0), st.floats(0.0, 2e4))
+VELOCITIES = st.tuples(*[st.floats(-300.0, 300.0)] * 3)
+
+
+def satellite(direction):
+    latitude, longitude = direction
+    x, y = math.cos(latitude) * math.cos(longitude), math.cos(latitude) * math.sin(longitude)
+    return ORBIT * np.array([x, y, math.sin(latitude)])
+
+
+def turned(vector, distance):
+    """A vector of the Earth's axes when a signal has travelled so far."""
+    a = EARTH_RATE * distance / SPEED_OF_LIGHT
+    c, s = math.cos(a), math.sin(a)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ vector
+
+
+def light_time_range(satellite_e, antenna_e):
+    """Range when the Earth turns while the signal travels, exact but for rounding."""
+    distance = np.linalg.norm(satellite_e - antenna_e)
+    for _ in range(10):
+        distance = np.linalg.norm(turned(satellite_e, distance) - antenna_e)
+    return distance
+
+
+@given(DIRECTIONS, ANTENNAS, VELOCITIES)
+def test_range_and_rate_are_those_in_inertial_axes(direction, antenna, v):
+    s, r, v = satellite(direction), geodetic_to_ecef(*antenna), np.array(v)
+    sv = np.cross([1e-4, 0.3e-4, 0.8e-4], s)
+    rho, rate, *u = range_and_rate(s, sv, r, v)
+    assert rho == pytest.approx(light_time_range(s, r), abs=1e-3)
+    inertial = turned(sv + np.cross(SPIN, s), rho) - (v + np.cross(SPIN, r))
+    assert rate == pytest.approx(np.array(u) @ inertial, abs=1e-6)
+
+
+@given(DIRECTIONS, ANTENNAS)
+def test_the_line_of_sight_is_a_unit_vector_to_the_satellite(direction, antenna):
+    s, r = satellite(direction), geodetic_to_ecef(*antenna)
+    rho, _, *u = range_and_rate(s, STILL, r, STILL)
+    assert np.linalg.norm(u) == pytest.approx(1.0, abs=1e-15)
+    assert np.linalg.norm(r + rho * np.array(u) - s) < 2.0 * EARTH_RATE * ORBIT * 0.1
+
+
+@given(DIRECTIONS, ANTENNAS, VELOCITIES, VELOCITIES)
+def test_the_range_rate_is_the_derivative_of_the_range(direction, antenna, v, sv):
+    s, r, sv, v = satellite(direction), geodetic_to_ecef(*antenna), np.array(sv), np.array(v)
+    sv = 10.0 * sv  # some km/s
+    h = 0.5
+    ranges = [range_and_rate(s + t * sv, STILL, r + t * v, STILL)[0] for t in (-h, h)]
+    _, rate, *u = range_and_rate(s, sv, r, v)
+    difference = (ranges[1] - ranges[0]) / (2.0 * h)
+    # the angle that the Earth turns in the travel time is taken for a constant, and is not quite
+    travel = EARTH_RATE * rate / SPEED_OF_LIGHT * (u[0] * s[1] - u[1] * s[0])
+    assert rate + travel == pytest.approx(difference, abs=1e-5)
+    assert abs(travel) <= EARTH_RATE / SPEED_OF_LIGHT * abs(rate) * ORBIT

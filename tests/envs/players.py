@@ -73,7 +73,6 @@ for task in TASKS.values():
 
 
 def short(name: str, **settings: Any) -> dict[str, Any]:
-    """Settings of short episodes of an id, as JSON has them."""
     return {**SETTINGS.get(name, {"timeline": SHORT}), **NOMINAL.get(name, {}), **settings}
 
 
@@ -90,7 +89,6 @@ def forms_of(name: str) -> tuple[str, ...]:
 
 
 def make(name: str, form: str, count: int = COUNT, **settings: Any) -> Any:
-    """An environment of an id in one of its forms."""
     if form == "single":
         return gym.make(name, **settings)
     if form in MODES:
@@ -127,7 +125,6 @@ class Player:
         self.advance = {"single": self._single, "SB3": self._adapted}.get(form, self._vector)
 
     def begin(self, seed: int) -> Player:
-        """Start the first episode of a seed."""
         self.rows, self.told = [[] for _ in range(self.count)], [0] * self.count
         self.steps[:], self.due[:], self.over[:] = 0, 0, False
         if self.form == "single":
@@ -218,7 +215,6 @@ def of_row(info: dict[str, Any], i: int) -> dict[str, Any]:
 
 
 def assert_same(one: Any, other: Any, where: str = "") -> None:
-    """Equal to the last bit, with whatever lies inside."""
     if isinstance(one, dict):
         assert one.keys() == other.keys(), where
         for key, value in one.items():

@@ -24,7 +24,6 @@ SMALL = tuple(kind for kind in VICTIMS if kind != "TightlyCoupled")
 
 
 def timeline_of(kind: str) -> dict[str, float]:
-    """Phases of a short episode."""
     epochs = {"warmup_s": 2 * LIVE, "live_s": LIVE, "attack_s": STEPS, "time_to_alert_s": HOLD}
     return {name: round(count * VICTIMS[kind], 6) for name, count in epochs.items()}
 

@@ -16,7 +16,6 @@ def kind(request):
 
 
 def play(kind, detector, **kwargs):
-    """Displacements, rewards and infos of one episode pushed east."""
     env = victim(kind, detector=detector, **kwargs).unwrapped
     env.reset(seed=1)
     action = np.zeros(env.action_space.shape)
@@ -54,16 +53,13 @@ def test_an_alarm_takes_back_the_time_to_alert(kind, at):
     assert infos[-1]["detected"] == infos[-1]["alarm"] == detected
 
 
-def test_without_end_at_alarm_the_rest_is_without_reward(kind):
+def test_an_alarm_ends_nothing_in_the_warmup_or_without_end_at_alarm(kind):
     _, reward, infos = play(kind, AlarmAt(LIVE + 15), end_at_alarm=False)
     assert len(reward) == STEPS
     assert not np.any(reward[15:])
     assert infos[14]["alarm"]
     assert not infos[15]["alarm"]
     assert all(info["detected"] for info in infos[14:])
-
-
-def test_an_alarm_in_the_warmup_is_latched_and_does_not_end_anything(kind):
     env = victim(kind, detector=AlarmAt(LIVE if kind in SMALL[:2] else 1)).unwrapped
     _, info = env.reset(seed=1)
     assert info["warmup_alarm"]
@@ -132,13 +128,10 @@ def test_an_alarm_is_paid_where_the_twin_has_not_alarmed_so_far(detector, steps,
     assert total == pytest.approx(infos[-1]["undetected_displacement_m"] - price)
 
 
-def test_a_twins_alarm_is_remembered_for_the_episode():
+def test_a_twins_alarm_is_remembered_and_without_a_twin_every_first_alarm_costs():
     infos, _ = play_twins(AlarmAt(LIVE + 5), end_at_alarm=False)
     said = [info["twin_alarm"] for info in infos]
     assert said == [False] * 4 + [True] * (STEPS - 4)
-
-
-def test_without_a_twin_every_first_alarm_costs():
     env = victim("TightlyCoupled", detector=AlarmAt(LIVE + 5))
     env.reset(seed=1)
     infos = [env.step(np.zeros(2))[4] for _ in range(5)]

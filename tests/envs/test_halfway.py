@@ -32,7 +32,6 @@ FORMS = {
 
 
 def act(env):
-    """Step by nothing at all; what is observed, or paid."""
     if hasattr(env, "agent_selection"):
         env.step(np.zeros(env.action_space(env.agent_selection).shape))
         return env.observe(env.agent_selection)

@@ -128,12 +128,24 @@ def test_another_meaning_is_never_allowed(policy, changes, message):
             attach(policy, env, transfer=transfer)
 
 
-def test_other_scales_of_the_space_are_seen(policy):
+def test_other_scales_and_what_is_no_environment_of_ours_are_refused(policy):
     rescale = gym.wrappers.RescaleObservation, gym.wrappers.RescaleAction
     for wrapper, word in zip(rescale, ("observation", "action"), strict=True):
         env = wrapper(single(), np.float32(0.0), np.float32(1.0))
         with pytest.raises(ValueError, match=f"{word}: a wrapper changes the space from Box"):
             attach(policy, env, transfer=True)
+    for env in (3, gym.make_vec(ID, 1, vectorization_mode="sync", **ENV)):
+        with pytest.raises(TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or"):
+            attach(policy, env)
+    card = SpooferCard.load(Path(policy).with_suffix(".json"))
+    for changes, message in (
+        ({"env_id": "CartPole-v1"}, "`env_id` must be one of spoofgym/.*got 'Ca"),
+        ({"env_kwargs": {"scenery": "x"}}, "`env_kwargs` has 'scenery'; valid:"),
+        ({"env_kwargs": {"detector": "emwa"}}, "`env_kwargs`: unknown detector 'emwa'; valid:"),
+        ({"env_kwargs": {"timeline": {"attack_s": "x"}}}, "`env_kwargs`: "),
+    ):
+        with pytest.raises(ValueError, match=f"card of 'tiny': {message}"):
+            setup_of_card(card.model_copy(update=changes))
 
 
 def test_a_shipped_profile_is_compared_by_its_card(tmp_path, monkeypatch):
@@ -161,18 +173,3 @@ def test_a_shipped_spoofer_plays_the_environment_of_its_card(name):
     other = {**card.env_kwargs, "detector": {"name": "cusum", "thresholds": "nominal"}}
     with pytest.raises(ValueError, match="detector"):
         attach(name, gym.make_vec(card.env_id, num_envs=2, **other))
-
-
-def test_what_is_no_environment_of_ours_is_refused(policy):
-    for env in (3, gym.make_vec(ID, 1, vectorization_mode="sync", **ENV)):
-        with pytest.raises(TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or"):
-            attach(policy, env)
-    card = SpooferCard.load(Path(policy).with_suffix(".json"))
-    for changes, message in (
-        ({"env_id": "CartPole-v1"}, "`env_id` must be one of spoofgym/.*got 'Ca"),
-        ({"env_kwargs": {"scenery": "x"}}, "`env_kwargs` has 'scenery'; valid:"),
-        ({"env_kwargs": {"detector": "emwa"}}, "`env_kwargs`: unknown detector 'emwa'; valid:"),
-        ({"env_kwargs": {"timeline": {"attack_s": "x"}}}, "`env_kwargs`: "),
-    ):
-        with pytest.raises(ValueError, match=f"card of 'tiny': {message}"):
-            setup_of_card(card.model_copy(update=changes))

@@ -69,7 +69,6 @@ class Doubled(DisplacementGain):
 
 
 def played(**settings):
-    """Rewards, ends and infos of all steps of a vector environment, with alarms and resets."""
     envs = gym.make_vec(ID, num_envs=3, **{**PLAIN, **settings})
     envs.reset(seed=4)
     rng, found, before = np.random.default_rng(1), [], []

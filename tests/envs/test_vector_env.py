@@ -17,7 +17,6 @@ def make(name, mode="next_step", **kwargs):
 
 
 def types(info):
-    """Type of every array, by key, `final_info` looked into."""
     kinds = {key: value.dtype for key, value in info.items() if key != "final_info"}
     within = info.get("final_info", {})
     return {**kinds, **{f"final {key}": value.dtype for key, value in within.items()}}
@@ -63,7 +62,7 @@ def test_a_finished_receiver_must_be_reset():
         envs.step(still)
 
 
-def test_a_part_of_the_receivers_can_be_seeded():
+def test_a_part_of_the_receivers_can_be_seeded_and_given_circumstances():
     envs, plain = make(SMALL, "disabled"), make(SMALL, "disabled")
     envs.reset(seed=5)
     first, *_ = envs.step(np.zeros(envs.action_space.shape))
@@ -81,9 +80,6 @@ def test_a_part_of_the_receivers_can_be_seeded():
     expected, found = (each.unwrapped.core.engine.simulator.position for each in (plain, envs))
     np.testing.assert_array_equal(found[[0, 2]], expected[[0, 2]])
     assert not np.array_equal(found[1], expected[1])
-
-
-def test_some_receivers_have_the_circumstances_that_are_given_for_them():
     envs = victims("LooselyCoupled", 3, autoreset_mode="disabled", domain={"start_s": [0.0, 20.0]})
     begun = envs.reset(seed=5, options={"domain": {"start_s": [1.0, 2.0, 3.0]}})[1]["time_s"]
     mask = np.array([False, True, True])

@@ -35,7 +35,6 @@ parquet = pytest.importorskip("pyarrow.parquet")
 
 
 def transitions(env, steps=36, seed=4):
-    """Observations, rewards and ends under commands that are the same for all."""
     rng = np.random.default_rng(1)
     shape = env.unwrapped.action_space.shape
     result = [env.reset(seed=seed)[0]]
@@ -135,8 +134,6 @@ def test_a_detector_is_refused_for_its_reason(env, detector, rate, message):
 
 
 class Nervous(Detector):
-    """Alarms at about every eightieth epoch, by the last digits of an innovation."""
-
     paper = "groves2013"
     measures = "any"
 

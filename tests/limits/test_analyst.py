@@ -19,7 +19,6 @@ EAST = np.array([0.0, 1.0])
 
 
 def whitened(epoch):
-    """(B, m) innovations of an epoch with variance 1."""
     factor = np.linalg.cholesky(epoch.innovation_cov)
     return np.linalg.solve(factor, epoch.innovation[:, :, None])[:, :, 0]
 

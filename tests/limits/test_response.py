@@ -28,7 +28,6 @@ def setup_of(**settings):
 
 @functools.cache
 def sorted_out():
-    """Names of the detectors that can be replayed, and of those that can't."""
     setup, can, cannot = setup_of(), [], []
     for name in sorted(DETECTORS.keys() - SPECIAL):
         detector = make_detector(name)
@@ -48,7 +47,6 @@ def seeds_of(setup, runs):
 
 
 def panel_of(setup, detectors, runs):
-    """Runs of the simulator in front of all detectors, which only look."""
     return Panel(setup, detectors, lambda: make_generators(seeds_of(setup, runs)), 1)
 
 
@@ -107,7 +105,17 @@ def test_every_detector_alarms_as_on_the_simulator(settings, names, runs):
     assert late > len(names) * runs // 4  # so that something has been compared
 
 
-def test_several_attacks_on_some_runs_are_those_of_one_on_all():
+def test_no_attack_is_the_clean_run_and_several_attacks_are_those_of_one():
+    setup = setup_of()
+    detector = make_detector({"name": "snapshot-chi2", "threshold_scale": 0.2})
+    replay = Replay(setup, [detector], seeds_of(setup, 8))
+    found = replay.play(0, np.zeros((1, setup.steps)))
+    (clean,) = panel_of(setup, [detector], 8).clean
+    np.testing.assert_allclose(found.peak[0], clean.peak, rtol=1e-5)  # matrices in single precision
+    np.testing.assert_array_equal(found.first_alarm[0], clean.first_alarm)
+    assert not found.error.any()
+    quiet = Replay(setup_of(attack="quiet"), [detector], seeds_of(setup, 8))
+    assert (quiet.play(0, np.zeros((1, setup.steps))).peak != found.peak).all()
     setup = setup_of()
     replay = Replay(setup, [make_detector("shewhart")], seeds_of(setup, 6), threads=2)
     curves = np.array([ramp_of(setup, top) for top in (0.1, 0.2, 0.4)])
@@ -119,19 +127,6 @@ def test_several_attacks_on_some_runs_are_those_of_one_on_all():
         np.testing.assert_allclose(some.peak[number], every.peak[0, rows], rtol=1e-12)
         np.testing.assert_allclose(some.error[:, number], every.error[:, 0, rows], rtol=1e-9)
     np.testing.assert_allclose(replay.errors(curves, rows), some.error)
-
-
-def test_no_attack_is_the_clean_run():
-    setup = setup_of()
-    detector = make_detector({"name": "snapshot-chi2", "threshold_scale": 0.2})
-    replay = Replay(setup, [detector], seeds_of(setup, 8))
-    found = replay.play(0, np.zeros((1, setup.steps)))
-    (clean,) = panel_of(setup, [detector], 8).clean
-    np.testing.assert_allclose(found.peak[0], clean.peak, rtol=1e-5)  # matrices in single precision
-    np.testing.assert_array_equal(found.first_alarm[0], clean.first_alarm)
-    assert not found.error.any()
-    quiet = Replay(setup_of(attack="quiet"), [detector], seeds_of(setup, 8))
-    assert (quiet.play(0, np.zeros((1, setup.steps))).peak != found.peak).all()
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,6 @@ LOOSE = {"rate": 1e3, "change": np.inf}
 
 
 def check_edge(detector, run, timing, bound):
-    """Just inside the bound there is no alarm, and just outside there is one."""
     assert bound.kind == "exact"
     for part, alarms in ((0.999, False), (1.02, True)):
         verdicts = judge_run(detector, run, timing, part * bound.innovation)

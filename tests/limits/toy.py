@@ -58,7 +58,6 @@ def false_position(run, stop=None, rate=1.0, change=0.05):
 
 
 def bound_of(detector, run=None, timing=TIMING, attacker=None):
-    """Zero-alarm bound at epoch 45, to the east."""
     run = toy_run() if run is None else run
     return compute_zero_alarm(detector, run, timing, epoch=45, direction=EAST, attacker=attacker)
 
@@ -85,6 +84,5 @@ def best_commands(world, direction, deflection):
 
 
 def deflection_of(world, commands):
-    """(K,) d up to every epoch."""
     shift = world.whitened @ commands
     return np.sqrt(np.cumsum((shift * shift).sum(axis=1)))

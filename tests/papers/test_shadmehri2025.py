@@ -36,13 +36,10 @@ def test_rows_are_in_their_bands_but_those_not_met(data):
     assert {3.41, 1.91, 0.35, 0.22, 0.11} <= {row.paper for row in times}
 
 
-def test_its_own_residual_in_the_covariance_masks_an_offset(data):
+def test_its_own_residual_in_the_covariance_masks_an_offset_and_adapting_q_buys_nothing(data):
     found = data["tuned, w = 20"]
     assert found["paper"]["5"]["detected"] > 0.9
     assert found["with itself"]["5"]["detected"] < 0.3
-
-
-def test_adapting_q_buys_nothing(data):
     both, only_r = (
         data[name]["paper"]["5"]["mean"] for name in ("tuned, w = 50, Q too", "tuned, w = 50")
     )

@@ -90,13 +90,21 @@ def test_false_alarms_and_what_the_attack_makes_of_gnss():
         assert np.mean(np.abs(sigma - expected) < spread) >= 0.97  # three standard deviations
 
 
-def test_the_slow_change_locks_out_all_but_production():
+def test_the_slow_change_locks_out_all_but_production_also_in_figs_10_and_12():
     assert pooled("both/RIO/alarm at the end").all()
     assert abs(np.median(nominal("slow/RIO/sigma") - nominal("both/RIO/sigma"))) < 1.0
     assert nominal("both/ACNA/alarm at the end").mean() > 0.5
     assert pooled("both/ACNA, production/alarm at the end").mean() < 0.02
     assert np.nanmedian(pooled("both/ACNA, production/slow recovery")) <= 5.0
     assert nominal("both/ACNA/P_FA") > 10.0 * nominal("both/ACNA, production/P_FA")
+    assert outside(sweep_rows(sweeps())) == []
+    slow = joined_sweep(sweeps(), "slow")
+    assert (slow["P_D"][:, -1] == 0.5).all()  # never detected beyond rate / gain
+    # sums of the error rates do not reach zero with a window
+    jump = joined_sweep(sweeps(), "jump")
+    sums = (jump["P_FA"] + jump["P_MD"]).min(axis=1)
+    for window, least in zip(jump["windows"], sums, strict=True):
+        assert least >= (window - 1.5) / 150.0
 
 
 @cache
@@ -106,17 +114,6 @@ def sweeps():
         "jump sweep": work.sweep_part(SEED, 40, "jump", windows, [0.5, 1.5, 1.7, 2.0, 4.0]),
         "slow sweep": work.sweep_part(SEED, 40, "slow", windows, [0.96, 1.12, 1.28, 1.6, 3.0, 7.0]),
     }
-
-
-def test_figs_10_and_12():
-    assert outside(sweep_rows(sweeps())) == []
-    slow = joined_sweep(sweeps(), "slow")
-    assert (slow["P_D"][:, -1] == 0.5).all()  # never detected beyond rate / gain
-    # sums of the error rates do not reach zero with a window
-    jump = joined_sweep(sweeps(), "jump")
-    sums = (jump["P_FA"] + jump["P_MD"]).min(axis=1)
-    for window, least in zip(jump["windows"], sums, strict=True):
-        assert least >= (window - 1.5) / 150.0
 
 
 @pytest.mark.parametrize("word", FILTERS)
@@ -132,7 +129,7 @@ def test_a_recorded_run_is_the_environment_bit_for_bit(word):
     np.testing.assert_allclose(engine.simulator.memory["displacement"], offsets[-1], atol=1e-9)
 
 
-def test_the_papers_sigma_is_about_the_mean():
+def test_the_papers_sigma_is_about_the_mean_and_runs_do_not_depend_on_how_many_there_are():
     error = np.zeros((300, 1, 2))
     error[150:] = 20.0
     found = measures.accuracy(error)
@@ -140,6 +137,12 @@ def test_the_papers_sigma_is_about_the_mean():
     assert found["sigma"][0] == pytest.approx(math.sqrt(2.0) * 10.0)
     assert found["max"][0] == pytest.approx(math.sqrt(2.0) * 20.0)
     assert found["rms"][0] == pytest.approx(20.0)
+    few, many = record("slow", SEED, 2), record("slow", SEED, 5)
+    np.testing.assert_array_equal(few.fix, many.fix[:, :2])
+    np.testing.assert_array_equal(few.increment, many.increment[:, :2])
+    ramp = runs.ramp_offsets(0.1, 150.0, range(1, 301), 3)
+    np.testing.assert_allclose(ramp[-1], 15.0)
+    assert not ramp[:150].any()
 
 
 def test_alarms_are_counted_by_their_proper_names():
@@ -157,15 +160,6 @@ def test_alarms_are_counted_by_their_proper_names():
     assert np.isnan(measures.recovery(alarm, window)[0])
     told = measures.retroactive(alarm, 2)[:, 0]
     assert told.tolist() == [True, True, False, False, True, True]
-
-
-def test_runs_do_not_depend_on_how_many_there_are():
-    few, many = record("slow", SEED, 2), record("slow", SEED, 5)
-    np.testing.assert_array_equal(few.fix, many.fix[:, :2])
-    np.testing.assert_array_equal(few.increment, many.increment[:, :2])
-    ramp = runs.ramp_offsets(0.1, 150.0, range(1, 301), 3)
-    np.testing.assert_allclose(ramp[-1], 15.0)
-    assert not ramp[:150].any()
 
 
 @pytest.mark.slow

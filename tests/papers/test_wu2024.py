@@ -90,7 +90,7 @@ def test_hybrids_keep_to_their_definition(count):
         assert not hybrids.any()
 
 
-def test_hybrids_do_not_depend_on_the_length_or_on_the_axes():
+def test_hybrids_of_a_worked_out_case_depend_neither_on_the_length_nor_on_the_axes():
     lines, spoofed, moved = cases(5, 300)
     turn, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))
     turned = np.column_stack([moved[:, :3] @ turn.T, moved[:, 3]])
@@ -103,9 +103,6 @@ def test_hybrids_do_not_depend_on_the_length_or_on_the_axes():
         np.testing.assert_array_equal(other[1], clock)
         np.testing.assert_array_equal(other[2][:, 0], seeded[:, 0])
     assert (seeded[:, 1] != rotated[2][:, 1]).any()  # search vectors belong to the axes
-
-
-def test_hybrids_of_a_case_worked_out_by_all_directions():
     lines, spoofed, moved = cases(4, 1)
     spoofed, moved = spoofed[::60], moved[::60]
     G = np.column_stack([lines, np.ones(12)])

@@ -20,7 +20,6 @@ from ..spoofers.policies import behind, less_the_mean, write_policy
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A cache of the test's own; nothing that this process makes is its own."""
     monkeypatch.setattr(platformdirs, "user_cache_dir", lambda _: str(tmp_path / "cache"))
     monkeypatch.setattr(trial, "_own", set())
     monkeypatch.setattr(trial, "_passed", set())

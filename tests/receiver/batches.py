@@ -31,8 +31,6 @@ PLACE = geodetic_to_ecef(0.7, 0.3, 9000.0)
 
 @dataclass(frozen=True)
 class HandMade:
-    """What kernels take of a world or a recording."""
-
     run: np.ndarray
     epoch_time: np.ndarray
     epoch_end: np.ndarray
@@ -154,7 +152,6 @@ class Batch:
         assert not run_epochs(table.entries, *scratch, what, count, lo, hi)
 
     def predict(self):
-        """Move on to the next epoch, with samples and ranges as they have been measured."""
         self.run(PREDICT + SHOW)
 
     def update(self, weights=None, **settings):

@@ -147,7 +147,6 @@ def sky(rng, n):
 
 
 def design(u, visible):
-    """H of all 2n rows; zero where invisible."""
     n = len(u)
     H = np.zeros((2 * n, 17))
     H[:n, 6:9], H[:n, 15] = u, 1.0

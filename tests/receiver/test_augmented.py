@@ -33,6 +33,18 @@ def begun(scenario, receivers, domain=None, receiver="augmented", seed=7):
     return simulator
 
 
+def whitened(simulator, epochs):
+    """(K, B, 2n) innovations of some epochs by their belief, NaN where no satellite is seen."""
+    found = []
+    for _ in range(epochs):
+        epoch = simulator.advance()
+        factor = np.linalg.cholesky(epoch.innovation_cov)
+        y = np.linalg.solve(factor, epoch.innovation[:, :, None])[:, :, 0]
+        found.append(np.where(np.hstack([epoch.visible, epoch.visible]), y, np.nan))
+        simulator.update(None)
+    return np.array(found)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "receivers"),
@@ -43,14 +55,7 @@ def begun(scenario, receivers, domain=None, receiver="augmented", seed=7):
     ],
 )
 def test_in_its_own_world_innovations_are_white_and_of_the_size_that_it_believes(name, receivers):
-    simulator, found = begun(name, receivers, DRAWN), []
-    for _ in range(500):
-        epoch = simulator.advance()
-        factor = np.linalg.cholesky(epoch.innovation_cov)
-        y = np.linalg.solve(factor, epoch.innovation[:, :, None])[:, :, 0]
-        found.append(np.where(np.hstack([epoch.visible, epoch.visible]), y, np.nan))
-        simulator.update(None)
-    settled = np.array(found[100:])
+    settled = whitened(begun(name, receivers, DRAWN), 500)[100:]
     assert np.nanmean(settled**2) == pytest.approx(1.0, abs=0.01)
     assert np.nanmean(settled[1:] * settled[:-1]) == pytest.approx(0.0, abs=0.01)
 
@@ -70,14 +75,7 @@ def test_where_biases_wander_innovations_stay_white_with_age(grade):
     simulator, now = begun(scenario, 112, DRAWN), 0
     for age_s in (60, 600, 1000):
         simulator.run_filter_only(2 * age_s - 40 - now)
-        now, seen = 2 * age_s + 40, []
-        for _ in range(80):
-            epoch = simulator.advance()
-            factor = np.linalg.cholesky(epoch.innovation_cov)
-            y = np.linalg.solve(factor, epoch.innovation[:, :, None])[:, :, 0]
-            seen.append(np.where(np.hstack([epoch.visible, epoch.visible]), y, np.nan))
-            simulator.update(None)
-        y = np.array(seen)
+        now, y = 2 * age_s + 40, whitened(simulator, 80)
         slack = 4.0 / np.sqrt(np.isfinite(y).sum())  # of four standard deviations
         assert np.nanmean(y**2) == pytest.approx(1.0, abs=np.sqrt(2.0) * slack)
         assert np.nanmean(y[1:] * y[:-1]) == pytest.approx(0.0, abs=slack)
@@ -132,7 +130,7 @@ def test_the_states_are_those_that_the_errors_need():
     assert none.first.size == 0
 
 
-def test_with_too_few_satellites_it_coasts():
+def test_with_too_few_satellites_it_coasts_and_weights_hold_it_back():
     victim = TightlyCoupled(grade="aviation", tuning="augmented", min_satellites=32)
     simulator = begun("trolley", 2, receiver=victim)
     before = simulator.memory["augmented"].copy()
@@ -140,16 +138,6 @@ def test_with_too_few_satellites_it_coasts():
     assert simulator.coasting.all()
     np.testing.assert_array_equal(simulator.memory["augmented"], before)
     assert np.isfinite(simulator.position).all()
-
-
-def test_what_does_not_go_with_it_is_refused():
-    with pytest.raises(ValueError, match='`covariance_update` must be "unweighted" with'):
-        TightlyCoupled(tuning="augmented", covariance_update="general")
-    with pytest.raises(ValueError, match=r"'augmented' takes one grade of inertial sensors"):
-        begun(Scenario(errors="trolley"), 1, {"imu": ("aviation", "tactical")})
-
-
-def test_detectors_weights_hold_the_filter_back():
     simulator = begun("trolley", 2)
     simulator.run_filter_only(5)
     for weights in (np.zeros_like(simulator.ones), None):
@@ -158,6 +146,13 @@ def test_detectors_weights_hold_the_filter_back():
         simulator.update(weights)
         changed = simulator.buffers.fields["clock"] != before
         assert changed.all() if weights is None else not changed.any()
+
+
+def test_what_does_not_go_with_it_is_refused():
+    with pytest.raises(ValueError, match='`covariance_update` must be "unweighted" with'):
+        TightlyCoupled(tuning="augmented", covariance_update="general")
+    with pytest.raises(ValueError, match=r"'augmented' takes one grade of inertial sensors"):
+        begun(Scenario(errors="trolley"), 1, {"imu": ("aviation", "tactical")})
 
 
 @pytest.mark.parametrize("name", ["trolley", "aviation-actual", WANDERING])

@@ -33,14 +33,11 @@ def test_the_gain_settles_where_it_is_told(interval_s, drift):
     assert run(made, fixes)[-1, 0, 0] == pytest.approx(0.16, rel=1e-6)
 
 
-def test_a_ramp_leads_the_estimate_by_rate_over_gain():
+def test_a_ramp_leads_by_rate_over_gain_and_half_a_weight_moves_half_as_far():
     fixes = np.tile(0.5 * np.arange(1.0, 201.0)[:, None, None], (1, 2, 2))
     lag = fixes - run(begun(), fixes)
     # after the update: a rate of 0.5 m a fix leads by rate / K before it, times 1 - K
     assert lag[-1, 0, 0] == pytest.approx(0.5 / 0.16 * 0.84, rel=1e-6)
-
-
-def test_half_a_weight_moves_half_as_far_and_none_leaves_dead_reckoning_alone():
     fixes = np.random.default_rng(0).normal(50.0, 1.0, (10, 2, 2))
     found = run(begun(), fixes, 0.3, 0.0)
     np.testing.assert_allclose(found[:, 0, 0], 0.3 * np.arange(1, 11))

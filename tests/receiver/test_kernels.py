@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from spoofgym.core.simd import LANES
-from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
-from spoofgym.receiver.kalman import COVARIANCE_UPDATES
+from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE, solve_in_place
+from spoofgym.receiver.kalman import COVARIANCE_UPDATES, normalized_innovation_squared
 
 from .batches import EPOCHS, WORLD, Batch, N, check_same
 from .reference import design, skew, sky, textbook
@@ -28,7 +28,6 @@ def check_all_same(mine, theirs):
 
 
 def seeing(counts):
-    """Receivers that see so many satellites each, all alike otherwise."""
     batch = Batch(range(len(counts)))
     seen = np.arange(N)[None, :] < counts[:, None]
     u = np.array([sky(np.random.default_rng(number), N) for number in range(len(counts))])
@@ -47,7 +46,6 @@ SINGULAR = (
 
 
 def hard_cases():
-    """Skies that are singular or nearly empty, and filters that are sure and unsure."""
     batch = seeing(np.array([6, 6, 6, 6, 0, 1, 2, 3, 4, 5, 6, 6]))
     batch.fields["line_of_sight"] = np.concatenate([SINGULAR, batch.fields["line_of_sight"][4:]])
     for row, scale in ((10, 1e-6), (11, 1e4)):
@@ -242,3 +240,35 @@ def test_an_invisible_slot_tells_nothing_whatever_it_holds(receivers, update):
         mine, theirs = odd.everything(row), clean.everything(row)
         del mine["assumed noise_variance"], theirs["assumed noise_variance"]
         check_same(mine, theirs)
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("k", [1, 4, 8])
+def test_elimination_solves_what_needs_pivots(k):
+    rng = np.random.default_rng(k)
+    M, y = rng.standard_normal((k, k)), rng.standard_normal(k)
+    if k > 1:
+        M[0, 0], M[1, 1] = 0.0, 0.0
+    x = M @ y
+    solve_in_place(M.copy(), x)
+    np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize(("first", "last"), [(0, 8), (4, 8), (2, 3)])
+def test_normalized_innovations_are_the_quadratic_form(first, last):
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((5, 8, 8))
+    S = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(8)
+    z = rng.standard_normal((5, 8))
+    rows = [r for r in range(first, last) if r != 5]  # that of an invisible satellite adds nothing
+    z[:, 5], S[:, 5], S[:, :, 5] = 0.0, 0.0, 0.0
+    S[:, 5, 5] = 1.0
+    want = [
+        a[rows] @ np.linalg.solve(B[np.ix_(rows, rows)], a[rows]) for a, B in zip(z, S, strict=True)
+    ]
+    np.testing.assert_allclose(normalized_innovation_squared(z, S, first, last), want, rtol=1e-10)
+    assert not normalized_innovation_squared(0.0 * z, S, first, last).any()
+    S[1, 2, 2] = -1.0  # which is no covariance
+    found = normalized_innovation_squared(z, S, first, last)
+    assert np.isinf(found).tolist() == [False, first <= 2, False, False, False]

@@ -134,9 +134,6 @@ def test_what_is_refused():
         flown_world("shadmehri2025", 0.1001)
 
 
-# --- noise that tunes itself ---------------------------------------------------------------------
-
-
 @pytest.mark.nojit
 @pytest.mark.parametrize(
     ("rule", "ratio", "factor"),
@@ -189,16 +186,13 @@ def test_the_noise_is_residuals_and_what_the_estimate_adds(weight):
         assert (S > P).all()
 
 
-def test_white_noise_is_found_and_a_floor_holds():
+def test_white_noise_is_found_a_floor_holds_and_the_paper_s_process_noise_has_no_rest():
     R = flown(40, 200, window=100)[0].state.measurement_cov
     variance = np.diagonal(R, axis1=1, axis2=2)
     np.testing.assert_allclose(variance.mean(axis=0), SD**2, rtol=0.1)
     assert np.linalg.eigvalsh(R).min() > 0.0
     R = flown(4, 60, window=20, floor_m=5.0)[0].state.measurement_cov
     np.testing.assert_allclose(np.diagonal(R, axis1=1, axis2=2), 25.0)
-
-
-def test_the_paper_s_process_noise_has_no_rest_under_white_noise():
     assert (flown(10, 300, window=30)[0].state.process_scale == 1.0).all()
     for process in ("raw", "clamped"):
         state = flown(10, 300, window=30, process=process)[0].state

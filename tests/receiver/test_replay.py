@@ -47,7 +47,6 @@ def truth(flight):
 
 
 def recorded(flight, truth):
-    """Measurements with noise and biases, and satellites that come and go."""
     ends, position, velocity, ranges = truth
     rng, K, time = np.random.default_rng(0), len(ends), flight.time[ends]
     pseudorange = ranges[..., 0] + 5000.0 + 30.0 * time[:, None]
@@ -138,7 +137,7 @@ def test_what_tells_nothing_changes_nothing(flight, truth):
     np.testing.assert_allclose(others[2], whole, rtol=0, atol=1e-6)
 
 
-def test_an_orthonormal_attitude_stays_one(flight, truth):
+def test_an_orthonormal_attitude_stays_one_and_a_matched_receiver_needs_a_world(flight, truth):
     found, off = [], []
     for conventions in ("groves", "orthonormal"):
         receiver = TightlyCoupled(conventions=conventions)
@@ -147,6 +146,10 @@ def test_an_orthonormal_attitude_stays_one(flight, truth):
         off.append(np.abs(C @ C.transpose(0, 2, 1) - np.eye(3)).max())
     assert off[1] < 1e-12 < off[0]
     np.testing.assert_allclose(*found, rtol=0, atol=1e-6)
+    recording, start = recorded(flight, truth), initial(flight)
+    with pytest.raises(ValueError, match="a replay knows no world to match"):
+        replay(recording, TightlyCoupled(tuning="matched"), initial=start)
+    replay(recording, TightlyCoupled(tuning="matched", noise=NoiseModel()), initial=start)
 
 
 def test_the_noise_may_be_given_by_epoch_and_channel(flight, truth):
@@ -164,16 +167,6 @@ def test_the_noise_may_be_given_by_epoch_and_channel(flight, truth):
     for bad in (noise[:3], np.zeros((1, 2 * N)), -noise):
         with pytest.raises(ValueError, match="`noise_variance` must be positive and of shape"):
             replay(recording, receiver, initial=start, noise_variance=bad)
-
-
-def test_a_matched_receiver_needs_something_to_match(flight, truth):
-    recording, start = recorded(flight, truth), initial(flight)
-    with pytest.raises(ValueError, match="a replay knows no world to match"):
-        replay(recording, TightlyCoupled(tuning="matched"), initial=start)
-    replay(recording, TightlyCoupled(tuning="matched", noise=NoiseModel()), initial=start)
-
-
-# --- recordings ------------------------------------------------------------------------------
 
 
 def small(**changes):

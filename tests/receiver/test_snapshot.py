@@ -69,7 +69,7 @@ def test_a_satellite_with_a_nan_anywhere_is_left_out(where):
         least_squares_fix(*arrays)
 
 
-def test_the_fix_is_that_of_least_squares():
+def test_the_fix_is_that_of_least_squares_four_suffice_and_the_guess_does_not_matter():
     noisy = np.array(GIVEN[:2]) + np.random.default_rng(0).normal(0.0, [[5.0], [0.1]], (2, 8))
     fix = least_squares_fix(*noisy, S, SV)
     own = fix.position_e, fix.velocity_e
@@ -78,9 +78,6 @@ def test_the_fix_is_that_of_least_squares():
     residual = noisy - [rho + fix.clock_bias_m, rate + fix.clock_drift_mps]
     assert np.abs(residual[0]).max() > 0.1
     np.testing.assert_allclose(residual @ H, 0.0, atol=1e-4)
-
-
-def test_four_satellites_suffice_and_the_guess_does_not_matter():
     fix = least_squares_fix(*some(slice(4)))
     np.testing.assert_allclose(fix.position_e, R, rtol=0, atol=1e-4)
     far = least_squares_fix(*GIVEN)
@@ -112,8 +109,6 @@ def test_what_gives_no_fix_is_refused(arrays, guess, said):
         least_squares_fix(*map(np.asarray, arrays), **guess)
 
 
-# --- of many receivers ---------------------------------------------------------------------------
-
 SKY = make_sky(3, 1.0, 12, CircularConstellation(satellites=36), speed_mps=50.0)
 HERE = SKY.position_e[0]
 
@@ -131,11 +126,26 @@ def pseudoranges(noise_m, receivers, spoofed=(), displacement=(0.0, 0.0, 0.0, 0.
     return rho, satellites
 
 
-def test_noise_is_white_and_of_its_size():
+def test_noise_is_white_and_innovations_belong_to_their_belief():
     clean, _ = pseudoranges(0.0, 2000)
     noise = pseudoranges(4.0, 2000)[0] - clean
     assert noise.std() == pytest.approx(4.0, rel=0.02)
     assert np.abs(np.corrcoef(noise.T) - np.eye(12)).max() < 0.1
+    rho, satellites = pseudoranges(4.0, 1)
+
+    def expected(position, clock):
+        z, S, G = np.empty((1, 24)), np.empty((1, 24, 24)), np.empty((1, 24, 4))
+        expect(rho, satellites, position[None], np.array([[clock]]), 16.0, z, S, G)
+        return z[0], S[0], G[0]
+
+    z, S, G = expected(HERE.copy(), 1000.0)
+    for axis in range(4):
+        step = 1.0 * (np.arange(4) == axis)
+        other, _, _ = expected(HERE + step[:3], 1000.0 + step[3])
+        np.testing.assert_allclose((z - other)[:12], G[:12, axis], atol=1e-5)
+    want = G @ np.diag([1e6, 1e6, 1e6, 1e8]) @ G.T + np.diag(np.repeat([16.0, 1.0], 12))
+    np.testing.assert_allclose(S, want, rtol=1e-12, atol=1e-6)
+    assert not z[12:].any()
 
 
 @pytest.mark.parametrize("displacement", [np.zeros(4), np.array([300.0, -200.0, 50.0, 40.0])])
@@ -162,21 +172,3 @@ def test_weights_leave_satellites_out_and_without_a_fix_the_last_one_stays():
     assert off[1] < 30.0
     np.testing.assert_array_equal(position[2], HERE + 7.0)
     assert clock[2, 0] == 3.0
-
-
-def test_innovations_belong_to_their_belief():
-    rho, satellites = pseudoranges(4.0, 1)
-
-    def expected(position, clock):
-        z, S, G = np.empty((1, 24)), np.empty((1, 24, 24)), np.empty((1, 24, 4))
-        expect(rho, satellites, position[None], np.array([[clock]]), 16.0, z, S, G)
-        return z[0], S[0], G[0]
-
-    z, S, G = expected(HERE.copy(), 1000.0)
-    for axis in range(4):
-        step = 1.0 * (np.arange(4) == axis)
-        other, _, _ = expected(HERE + step[:3], 1000.0 + step[3])
-        np.testing.assert_allclose((z - other)[:12], G[:12, axis], atol=1e-5)
-    want = G @ np.diag([1e6, 1e6, 1e6, 1e8]) @ G.T + np.diag(np.repeat([16.0, 1.0], 12))
-    np.testing.assert_allclose(S, want, rtol=1e-12, atol=1e-6)
-    assert not z[12:].any()

@@ -51,7 +51,7 @@ def test_receivers_are_taken_over_from_a_batch_of_any_width(here, there, wanted,
         np.testing.assert_array_equal(mine.fields[name][:-1], before.fields[name][:-1])
 
 
-def test_an_epoch_is_read_only_follows_the_buffers_and_has_no_field_of_truth():
+def test_an_epoch_is_read_only_follows_the_buffers_and_tells_what_of_it_is_read():
     assert not [name for name in Epoch._fields if "true" in name or "attack" in name]
     buffers = ReceiverBuffers(2, 4, SEEN)
     epoch = epoch_view(buffers)
@@ -65,17 +65,13 @@ def test_an_epoch_is_read_only_follows_the_buffers_and_has_no_field_of_truth():
     buffers.position_e[1] = 3.0
     assert epoch.innovation[1, 3] == epoch.predicted_cov[0, 2, 2] == 7.0
     np.testing.assert_array_equal(epoch.predicted_position[1], 3.0)
-
-
-def test_what_of_an_epoch_is_there_and_is_read():
     always = ("time", "interval", "innovation", "innovation_variance", "visible")
     assert Epoch._fields[: -len(OPTIONAL)] == (*always, "predicted_position", "predicted_velocity")
     some = epoch_view(ReceiverBuffers(2, 4, {"design", "cn0_dbhz"}))
     assert [name for name in OPTIONAL if getattr(some, name) is not None] == ["design"]
     assert all(getattr(some, name) is not None for name in always)
     traced = TracedEpoch(*epoch_view(ReceiverBuffers(2, 4, SEEN)))
-    assert traced.innovation.shape == (2, 8)
-    assert traced.read_fields == set()
+    assert (traced.innovation.shape, traced.read_fields) == ((2, 8), set())
     changed = traced._replace(innovation=traced.innovation + 1.0)
     assert changed.design is not None
     assert traced.cn0_dbhz is None

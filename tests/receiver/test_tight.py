@@ -29,7 +29,7 @@ def test_an_assumed_noise_is_checked(settings, said):
         TightlyCoupled(noise=NoiseModel(**settings))
 
 
-def test_what_a_receiver_assumes():
+def test_what_a_receiver_assumes_is_in_si_units():
     assert TightlyCoupled().noise_model == NoiseModel(2.5, 0.1, 1.0, 1.0)  # more than there is
     own = NoiseModel(1.0, 0.02, 0.0, 0.0)
     assert TightlyCoupled(noise=own).noise_model is own
@@ -37,9 +37,6 @@ def test_what_a_receiver_assumes():
         receiver = TightlyCoupled(covariance_update=update, conventions="orthonormal")
         assert (receiver.covariance_code, receiver.orthonormalize) == (code, True)
     assert not TightlyCoupled().orthonormalize
-
-
-def test_covariance_and_process_noise_are_in_si_units():
     P = TightlyCoupled(grade="tactical").initial_covariance()
     sd = [1.0 * DEG, 0.1, 10.0, 1000.0 * MICRO_G, 10.0 * DEG / 3600.0]
     np.testing.assert_array_equal(P, np.diag(np.diag(P)))

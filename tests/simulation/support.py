@@ -55,7 +55,6 @@ def rngs(receivers, first=100):
 
 
 def warm(setup, receivers, first=100, **given):
-    """Receivers at the onset."""
     simulator = setup.simulator(receivers, run_serially)
     simulator.warm_up(rngs(receivers, first), given=given or None)
     return simulator
@@ -73,8 +72,6 @@ def step(simulator, command=None):
 
 
 class Weigher(Detector):
-    """Weights that fall with the innovation, an alarm where it is large."""
-
     paper = "shadmehri2025"
     measures = "position"
 

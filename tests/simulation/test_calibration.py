@@ -35,7 +35,6 @@ def setup():
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
-    """Folder of one's own calibrations, empty at first."""
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "own"))
     return tmp_path / "own"
 
@@ -47,7 +46,6 @@ RUNS = 120
 
 @pytest.fixture(scope="module")
 def calibrated(setup, tmp_path_factory):
-    """Calibrations of `SPECS` at two rates."""
     settings = {"runs": RUNS, "folder": tmp_path_factory.mktemp("calibrated"), "threads": 2}
     rates = [RATE, 3.0 * RATE]
     found = calibrate_detectors(setup, SPECS, false_alarms_per_hour=rates, **settings)
@@ -55,7 +53,7 @@ def calibrated(setup, tmp_path_factory):
     return found
 
 
-def test_passive_detectors_in_one_pass_see_what_each_sees_in_the_loop(setup):
+def test_passive_detectors_in_one_pass_see_the_same_as_in_the_loop_chunks_and_threads(setup):
     names = ("snapshot-chi2", "cusum", "clock-drift", "raim")
     detectors = [make_detector(name) for name in names]
     together = Player(setup, threads=1).play(detectors, range(12))
@@ -65,9 +63,6 @@ def test_passive_detectors_in_one_pass_see_what_each_sees_in_the_loop(setup):
         for one, other in zip(together.column(k), alone.column(0), strict=True):
             np.testing.assert_array_equal(one, other)
     assert (together.alarmed == (together.judged > 1.0)).all()
-
-
-def test_runs_do_not_depend_on_chunks_threads_or_what_was_played_before(setup):
     detectors = [Cusum(), Ewma(weight_scale=None)]
     whole = Player(setup, threads=1).play(detectors, range(20))
     again = Player(setup, threads=2, chunk=3).play(detectors, range(20))
@@ -77,7 +72,7 @@ def test_runs_do_not_depend_on_chunks_threads_or_what_was_played_before(setup):
     np.testing.assert_array_equal(some.judged, whole.judged[[17, 4]])
 
 
-def test_the_judged_window_is_the_attack_and_the_time_to_alert(setup):
+def test_the_judged_window_is_the_attack_and_the_time_to_alert_once_alarms_are_on(setup):
     cusum = Cusum()
     engine = Engine(3, setup.copy_with(detector=cusum), threads=1)
     player = Player(setup, threads=1)
@@ -89,6 +84,13 @@ def test_the_judged_window_is_the_attack_and_the_time_to_alert(setup):
     found = player.play([cusum], range(3))
     np.testing.assert_array_equal(found.judged[:, 0], largest)
     assert setup.window_s == 17.0
+    late = {"name": "innovation-rate", "weight_scale": None, "settled_s": 30.0}
+    detector, always = make_detector(late), make_detector({**late, "settled_s": 0.0})
+    found = Player(setup, threads=1).play([detector, always], range(10))
+    assert (found.before[:, 0] == 0.0).all()
+    assert (found.before[:, 1] > 0.0).all()
+    assert (found.judged[:, 0] <= found.judged[:, 1]).all()
+    assert (found.judged[:, 0] > 0.0).all()
 
 
 def test_a_calibration_keeps_its_rate_on_the_runs_that_it_is_made_of(setup, calibrated):
@@ -115,19 +117,6 @@ def test_an_alarm_that_is_a_state_is_bisected_to_its_rate(setup, calibrated):
     player = Player(setup, threads=2)
     few, more = (player.play([chart], range(RUNS), in_loop=True).alarmed.sum() for chart in charts)
     assert few <= point.rank - 1 <= more
-
-
-def test_ratios_before_alarms_are_on_do_not_count(setup):
-    late = {"name": "innovation-rate", "weight_scale": None, "settled_s": 30.0}
-    detector, always = make_detector(late), make_detector({**late, "settled_s": 0.0})
-    found = Player(setup, threads=1).play([detector, always], range(10))
-    assert (found.before[:, 0] == 0.0).all()
-    assert (found.before[:, 1] > 0.0).all()
-    assert (found.judged[:, 0] <= found.judged[:, 1]).all()
-    assert (found.judged[:, 0] > 0.0).all()
-
-
-def test_bisection_plays_again_what_alarms_before_the_attack():
     before = np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
     judged = np.array([1.0, 2.0, 3.0, 4.0, 0.5, 0.2])
     played = []
@@ -161,23 +150,25 @@ def test_hold_outs_are_other_runs_and_lie_in_the_predicted_interval(setup, calib
     assert (fresh != Player(setup).play([Cusum()], range(5)).judged).all()
 
 
-def test_a_hold_out_tells_the_worst_world():
+def test_a_hold_out_tells_the_worst_world_by_chance_and_the_hazard_by_age():
     domain = {"constellation_time_s": [0.0, 86_400.0], "worlds": 3}
     several = TightlyCoupledSetup(detector="never", timeline=SHORT, domain=domain)
     asked = {"false_alarms_per_hour": RATE, "runs": 100}
     found = calibrate_detectors(several, "snapshot-chi2", **asked)
     (held,) = hold_out(several, found, "snapshot-chi2", **asked)
     runs, alarms = np.array(held.worlds).T
-    assert len(runs) == 3
-    assert (runs.sum(), alarms.sum()) == (100, held.alarms)
+    assert (len(runs), runs.sum(), alarms.sum()) == (3, 100, held.alarms)
     largest, by_chance = held.worst_world
     assert largest == hourly_rate((alarms / runs).max(), held.window_s)
     assert largest >= held.per_hour
     json.dumps(held.as_dict(), allow_nan=False)
     assert held.as_dict()["worst_world_by_chance"] == by_chance
-
-
-def test_a_hold_out_tells_the_hazard_by_the_time_since_switch_on():
+    alike = HoldOut("x", 4000, 40, 0.01, None, None, 0.0, 0, 160.0, ((1000, 10),) * 4, 0.2)
+    drawn = np.random.default_rng(1).binomial(1000, 0.01, (20_000, 4)).max(axis=1)
+    assert alike.worst_world[1] == hourly_rate(np.median(drawn) / 1000, 160.0)
+    assert alike._replace(worlds=((4000, 40),)).worst_world is None
+    none = alike._replace(alarms=0, worlds=((2000, 0), (2000, 0)))
+    assert none.worst_world == (0.0, 0.0)
     timeline = {**SHORT, "warmup_s": 20.0, "live_s": 15.0}
     aged = TightlyCoupledSetup(
         detector="never", timeline=timeline, domain={"age_s": (30.0, 200.0)}, scenario="ke2022"
@@ -192,15 +183,6 @@ def test_a_hold_out_tells_the_hazard_by_the_time_since_switch_on():
     assert held.per_hour_by_age[60.0] == hourly_rate(alarms[1] / runs[1], held.window_s)
     json.dumps(held.as_dict(), allow_nan=False)
     print_hold_outs("aged", [held])
-
-
-def test_chance_in_the_worst_of_several_worlds():
-    alike = HoldOut("x", 4000, 40, 0.01, None, None, 0.0, 0, 160.0, ((1000, 10),) * 4, 0.2)
-    drawn = np.random.default_rng(1).binomial(1000, 0.01, (20_000, 4)).max(axis=1)
-    assert alike.worst_world[1] == hourly_rate(np.median(drawn) / 1000, 160.0)
-    assert alike._replace(worlds=((4000, 40),)).worst_world is None
-    none = alike._replace(alarms=0, worlds=((2000, 0), (2000, 0)))
-    assert none.worst_world == (0.0, 0.0)
 
 
 def test_the_rate_elsewhere_is_another_one(setup, calibrated):
@@ -335,16 +317,7 @@ def test_a_file_in_another_folder_is_for_who_names_it(setup, folder, calibrated)
         SpoofEnv("snapshot", detector={**asked, "name": "snapshot-chi2"})
 
 
-def test_draws_by_last_bits_are_not_held_against_another_processor(setup):
-    """One bit of one innovation, as NumPy for other instructions computes it, is another draw."""
-    (found,) = calibrate_detectors(setup, "lottery", runs=30, false_alarms_per_hour=2.0 * RATE)
-    drawn = [(run, before / 3.0, judged / 3.0) for run, before, judged in found.witnesses]
-    check(setup, [dataclasses.replace(found, witnesses=tuple(drawn))], "lottery")
-    with pytest.raises(ValueError, match="something else than lottery"):
-        check(setup, [found], {"name": "lottery", "mean_wait_s": 7.0})
-
-
-def test_what_no_longer_behaves_so_is_told(setup, calibrated):
+def test_what_no_longer_behaves_so_is_told_and_draws_by_last_bits_are_not(setup, calibrated):
     def altered(error):
         kept = list(calibrated[2].witnesses)
         run, before, judged = kept[3]
@@ -354,6 +327,12 @@ def test_what_no_longer_behaves_so_is_told(setup, calibrated):
     check(setup, [altered(0.5 * TOLERANCE)], "ewma")
     with pytest.raises(ValueError, match=r"no longer holds: the largest ratio of run 3 in it is"):
         check(setup, [altered(3.0 * TOLERANCE)], "ewma")
+    # one bit of one innovation, as NumPy for other instructions computes it, is another draw
+    (found,) = calibrate_detectors(setup, "lottery", runs=30, false_alarms_per_hour=2.0 * RATE)
+    drawn = [(run, before / 3.0, judged / 3.0) for run, before, judged in found.witnesses]
+    check(setup, [dataclasses.replace(found, witnesses=tuple(drawn))], "lottery")
+    with pytest.raises(ValueError, match="something else than lottery"):
+        check(setup, [found], {"name": "lottery", "mean_wait_s": 7.0})
 
 
 def test_a_smaller_victim_is_calibrated_by_the_same_call():

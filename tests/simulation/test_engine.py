@@ -16,7 +16,6 @@ from ..receiver.batches import check_same
 
 
 def everything(simulator, rows=slice(None)):
-    """All that there is of some receivers, by name."""
     buffers, sensors = simulator.buffers, simulator.sensors
     plain = ("time", "interval", "position_e", "velocity_e", "visible", "coasting")
     arrays = {
@@ -77,7 +76,6 @@ SETTINGS = {
 
 @pytest.fixture(scope="module", params=SETTINGS)
 def many(request):
-    """A setting, and 70 receivers of it."""
     setup = TightlyCoupledSetup(timeline=SHORT, detector="ewma", **SETTINGS[request.param])
     setup.fields = setup.has
     whole = played(setup, range(70))

@@ -34,11 +34,14 @@ def tight(detector="never"):
 
 
 @every_victim
-def test_an_epoch_has_what_the_detector_needs_and_nothing_else(kind):
+def test_an_epoch_has_what_the_detector_needs_and_one_that_forgets_fails_alike(kind):
     setup = setup_of(kind, detector=Reader("design", "predicted_cov"))
     assert setup.has > setup.detector.needs
     victim = warm(setup, 2)
     assert victim.fields == given(victim.epoch) == {"design", "predicted_cov"}
+    message = r"Forgetful reads `epoch.design`, .* `needs = frozenset\({'design'}\)` into the class"
+    with pytest.raises(TypeError, match=message):
+        warm(setup_of(kind, detector=Forgetful()), 2)
 
 
 @every_victim
@@ -63,7 +66,7 @@ def test_all_fields_may_be_wanted_and_have_the_same_bits(kind):
         assert len(array) == 3
 
 
-def test_needs_of_loop_passive_detectors_and_monitors_add_up():
+def test_needs_of_loop_passive_detectors_monitors_and_agents_are_met():
     pool = make_detector({"name": "pool", "members": ["aime", "raim"]})
     passive = PassiveDetectors([Reader("imu_delta"), pool, make_detector("ewma")])
     assert passive.needs == {"imu_delta", "innovation_cov", "pseudorange", "satellite_position"}
@@ -78,9 +81,6 @@ def test_needs_of_loop_passive_detectors_and_monitors_add_up():
     np.testing.assert_array_equal(*variances)
     with pytest.raises(LookupError, match="has no monitor Forgotten"):
         engine.simulator.monitor(type("Forgotten", (Monitor,), {}))
-
-
-def test_an_agent_of_the_duel_gets_what_its_terms_read():
     assert DetectorAgent().needs == {"innovation_cov", "imu_delta"}
     victim = warm(tight(DetectorAgent()), 2)
     assert given(victim.epoch) == victim.detector.needs
@@ -90,13 +90,6 @@ def test_an_agent_of_the_duel_gets_what_its_terms_read():
 class Forgetful(Never):
     def judge(self, epoch):
         return super().judge(epoch._replace(innovation=epoch.design[:, :, 0]))
-
-
-@every_victim
-def test_a_detector_that_forgets_its_needs_fails_alike_in_every_victim(kind):
-    message = r"Forgetful reads `epoch.design`, .* `needs = frozenset\({'design'}\)` into the class"
-    with pytest.raises(TypeError, match=message):
-        warm(setup_of(kind, detector=Forgetful()), 2)
 
 
 class Late(Monitor):

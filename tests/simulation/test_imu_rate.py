@@ -109,8 +109,7 @@ def test_every_victim_environment_and_duel_take_it():
     one = gym.make("spoofgym/TightlyCoupled-v0", **small)
     duel = duel_v0.env(scenario="zhong2025", **small)
     for core in (one.unwrapped.core, duel.unwrapped.duel.core):
-        assert core.setup.name == "zhong2025@20Hz"
-        assert core.setup.world.most_samples == 10
+        assert (core.setup.name, core.setup.world.most_samples) == ("zhong2025@20Hz", 10)
     one.reset(seed=3)
     duel.reset(seed=3)
 

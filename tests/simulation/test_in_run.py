@@ -97,16 +97,13 @@ def test_a_matched_receiver_takes_the_process_for_a_random_walk():
     assert noise.inertial.gyro_bias_psd >= 2.0 * IMU_GRADES["tactical"].in_run[1] ** 2 / 1000.0
 
 
-def test_it_is_a_world_of_its_own_and_constant_biases_leave_no_trace():
+def test_it_is_a_world_of_its_own_and_what_cannot_wander_is_refused():
     assert "in_run" not in describe(Scenario())
     assert describe(Scenario(in_run="wandering"))["in_run"] == "wandering"
     assert make_scenario({"name": "trolley", "in_run": "constant"}).in_run == "constant"
     simulator = begun(2, in_run="constant")
     assert not simulator.sensors.in_run.rows
     assert not simulator.sensors.in_run.data.size
-
-
-def test_what_cannot_wander_is_refused():
     with pytest.raises(ValueError, match=r"`in_run` must be .*wandering.*'walking'"):
         Scenario(in_run="walking")
     with pytest.raises((TypeError, ValueError), match="scenario"):

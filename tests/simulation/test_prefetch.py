@@ -35,7 +35,6 @@ def generators(receivers=9, seed=0):
 
 
 def course(core, rngs, steps=40, chance=None):
-    """Rewards, observations, warm-up alarms of some steps with autoresets."""
     seen, chance = [], chance or np.random.default_rng(1)
     for _ in range(steps):
         command = np.clip(chance.normal(0.3, 0.5, (core.receivers, 2)), -1, 1)
@@ -57,7 +56,6 @@ def begun(setup, **how):
 
 
 def second_episode(setup, receivers=9):
-    """What is observed first in it, without anything ahead of time."""
     core, rngs = begun(setup, prefetch=False, receivers=receivers)
     core.reset(rngs)
     return core.observe()
@@ -70,7 +68,6 @@ def assert_same(one, other):
 
 @pytest.fixture(scope="module")
 def plain(setup):
-    """What is to be played: without anything ahead of time."""
     found = course(*begun(setup, prefetch=False))
     assert found[2].any()  # some warm-ups alarm
     return found
@@ -94,7 +91,9 @@ def test_a_game_that_was_copied_or_closed_goes_on_with_the_same_bits(setup, plai
     assert_goes_on(plain, first, course(core, rngs, 25, chance))
 
 
-def test_other_generators_begin_anew_and_the_same_go_on(setup, plain):
+def test_other_generators_begin_anew_the_same_go_on_and_some_leave_the_others_as_they_are(
+    setup, plain
+):
     core, rngs = core_of(setup), generators()
     core.reset(generators(seed=5))
     core.reset(rngs)
@@ -102,9 +101,6 @@ def test_other_generators_begin_anew_and_the_same_go_on(setup, plain):
     core, rngs = begun(setup)
     core.reset(rngs)
     assert np.array_equal(core.observe(), second_episode(setup))
-
-
-def test_some_receivers_seeded_anew_leave_the_others_as_they_are():
     seen = []
     for prefetch in (False, True):
         settings = {"timeline": TIMELINE, "threads": 1, "prefetch": prefetch}
@@ -152,7 +148,6 @@ class Held:
 
 
 def held(core, rngs, monkeypatch):
-    """Begin, and wait until a piece of the next warm-up has begun."""
     pieces = Held(core.engine._next._warm_up)
     with monkeypatch.context() as patch:
         patch.setattr(core.engine._next, "_warm_up", pieces)

@@ -44,7 +44,6 @@ def seen(simulator):
 
 
 def assert_same(mine, theirs, rows=slice(None)):
-    """The same bits in rows of two simulators."""
     others = seen(theirs)
     for name, array in seen(mine).items():
         np.testing.assert_array_equal(array[rows], others[name][rows], err_msg=name)

@@ -27,8 +27,6 @@ def _no_hanging():
 
 
 class Work:
-    """Work that says which of its slices run, and which have ended."""
-
     def __init__(self, lasting_s=0.0, failing=()):
         self.lasting_s, self.failing = lasting_s, failing
         self.running, self.ended, self.calls = set(), set(), []
@@ -70,8 +68,7 @@ def workers():
 def assert_whole(workers):
     work = Work(1e-3)
     workers.run(work, BOUNDS)
-    assert sorted(work.calls) == [(0, 1), (1, 2), (2, 3)]
-    assert work.ended == {0, 1, 2}
+    assert (sorted(work.calls), work.ended) == ([(0, 1), (1, 2), (2, 3)], {0, 1, 2})
 
 
 def test_every_slice_is_run_once(workers):
@@ -152,8 +149,7 @@ def test_what_a_slice_fails_with_is_raised_when_all_have_ended(workers):
         work = Work(5e-3, [failing])
         with pytest.raises(ArithmeticError, match=f"slice {failing}"):
             workers.run(work, BOUNDS)
-        assert sorted(work.calls) == [(0, 1), (1, 2), (2, 3)]
-        assert work.ended == {0, 1, 2}
+        assert (sorted(work.calls), work.ended) == ([(0, 1), (1, 2), (2, 3)], {0, 1, 2})
         assert_whole(workers)
 
 

@@ -35,7 +35,6 @@ def pasts(kind, **settings):
 
 
 def played(engine, generators, rounds=3, steps=4):
-    """Errors after every step of some episodes, (K, B, e)."""
     errors, moves = [], np.ones((engine.receivers, len(engine.setup.action_names)))
     for _ in range(rounds):
         engine.reset(generators)

@@ -63,8 +63,7 @@ def test_an_interruption_has_no_fix_and_no_alarm():
 def test_a_start_may_be_anywhere_on_the_course():
     setup = setup_of("robot", domain={"start_s": (2.0, None)})
     lap = 2.0 * (13.4 + 6.1) - (8.0 - 2.0 * np.pi) * 0.3
-    assert setup.bounds.first == 2
-    assert setup.bounds.last == np.floor(2.0 + lap / 0.5)
+    assert (setup.bounds.first, setup.bounds.last) == (2, np.floor(2.0 + lap / 0.5))
     drawn = warm(setup, 40)
     starts = setup.true_position[drawn.memory["first"]]
     assert (np.ptp(starts, axis=0) > 5.0).all()

@@ -49,7 +49,6 @@ def context_of(receivers=3, knowledge="blind", env=None):
 
 
 def network(inputs, outputs, *, batch="batch", width=16):
-    """Two layers of tanh, and a clip, as an export has them."""
     rng = np.random.default_rng(7)
     nodes, tensors, name = [], [], "observation"
     for k, (fan, out) in enumerate(pairwise([inputs, width, width, outputs])):

@@ -23,26 +23,17 @@ def wanted(spoofer, names, ratios):
     return spoofer.wanted_rate(seen)
 
 
-def test_the_wanted_rate_is_the_rule():
+def test_the_wanted_rate_is_the_rule_or_along_a_curve_a_part_of_its_rate():
     spoofer, names = bound(rate_mps=0.2, growth=4.0, full_ratio=0.5, zero_ratio=1.0, back=-0.8)
     rates = wanted(spoofer, names, [0.2, 0.75, 2.0])
     np.testing.assert_allclose(rates, [0.2, 0.1, -0.16], rtol=1e-6)
     spoofer.memory["step"][:] = 150.0
     np.testing.assert_allclose(wanted(spoofer, names, [0.2, 1.0, 1.1]), [0.5, 0.0, -0.1], rtol=1e-5)
-
-
-CURVE = (0.1, 0.3, 0.2)
-
-
-def test_along_a_curve_the_room_is_a_part_of_its_rate():
     settings = {"rates_mps": CURVE, "full_ratio": 0.5, "zero_ratio": 1.0, "back": 0.0}
     spoofer, names = bound(kind=FeedbackProfile, **settings)
     spoofer.memory["step"][:] = 149.0  # the knot in the middle of 300 epochs
     rates = wanted(spoofer, names, [0.2, 0.75, 2.0])
     np.testing.assert_allclose(rates, [0.3, 0.15, 0.0], rtol=1e-5)
-
-
-def test_with_nothing_held_back_it_is_the_profile_up_to_the_alarm():
     curve, _ = bound(kind=Profile, receivers=2, rates_mps=CURVE)
     settings = {"rates_mps": CURVE, "full_ratio": 1.0, "zero_ratio": 1.01}
     spoofer, names = bound(kind=FeedbackProfile, receivers=2, **settings)
@@ -50,6 +41,9 @@ def test_with_nothing_held_back_it_is_the_profile_up_to_the_alarm():
     seen[:, names.index("statistic_ratio")] = [0.3, 0.999]
     for _ in range(40):
         np.testing.assert_array_equal(spoofer.act(seen), curve.act(seen[:, :0]))
+
+
+CURVE = (0.1, 0.3, 0.2)
 
 
 def test_what_cannot_be_played_is_refused():

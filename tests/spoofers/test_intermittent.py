@@ -15,7 +15,6 @@ FAST = context("rate", rate_limit_mps=250.0, steps=360)
 
 
 def east(spoofer, told=FAST):
-    """Displacement and rate of a false position to the east."""
     return (each[:, 1] for each in flown(spoofer, told))
 
 
@@ -29,6 +28,12 @@ def test_ramps_and_steps_take_turns_and_return_within_an_epoch():
     few = Intermittent(sizes_m=(60.0, -40.0), scale=0.5, bursts=3, **settings)
     want[240:] = 0.0  # silence after the last burst
     found, _ = east(few)
+    np.testing.assert_allclose(found, want, atol=1e-9)
+    # the intermittent attack of zhong2025
+    found, _ = east(make_spoofer(dict(PAPER_ATTACKS["zhong2025-intermittent"].spoofer)))
+    time = 200.0 + 0.5 * np.arange(1, 361)  # of the epochs that are spoofed
+    want = np.where(time <= 270.0, 0.5 * (time - 200.0), 0.0)
+    want = np.where((time > 280.0) & (time <= 350.0), 25.0, want)
     np.testing.assert_allclose(found, want, atol=1e-9)
 
 
@@ -69,11 +74,3 @@ def test_every_attack_of_a_paper_can_be_made(name):
     assert offset[0] > 0.0
     assert offset[steps - 1] > 0.0
     np.testing.assert_allclose(offset[steps:], 0.0, atol=1e-9)
-
-
-def test_the_intermittent_attack_of_zhong2025():
-    found, _ = east(make_spoofer(dict(PAPER_ATTACKS["zhong2025-intermittent"].spoofer)))
-    time = 200.0 + 0.5 * np.arange(1, 361)  # of the epochs that are spoofed
-    want = np.where(time <= 270.0, 0.5 * (time - 200.0), 0.0)
-    want = np.where((time > 280.0) & (time <= 350.0), 25.0, want)
-    np.testing.assert_allclose(found, want, atol=1e-9)

@@ -42,8 +42,6 @@ def test_it_refuses_other_observations_than_it_was_trained_on():
 
 
 class Loaded:
-    """A model of stable-baselines3, as far as its environment is asked for."""
-
     def __init__(self, env=None):
         self.get_env = lambda: env
 

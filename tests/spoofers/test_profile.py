@@ -25,7 +25,7 @@ def test_the_curve_meets_its_knots_and_stays_between_them():
 
 
 @pytest.mark.parametrize("control", ["rate", "acceleration"])
-def test_knots_on_a_straight_line_are_a_ramp(control):
+def test_knots_on_a_straight_line_are_a_ramp_and_a_curve_across_goes_to_the_right(control):
     told = context(control)
     ramp = flown(make_spoofer({"name": "accelerating-ramp", "acceleration_mps2": 0.01}), told)
     line = make_spoofer({"name": "profile", "rates_mps": np.linspace(0.0, 1.5, 7).tolist()})
@@ -35,19 +35,6 @@ def test_knots_on_a_straight_line_are_a_ramp(control):
     for settings in ({"heading_deg": 30.0}, nothing_across):
         profile = flown(Profile(rates_mps=(0.3, 0.3, 0.3), **settings), told)
         np.testing.assert_allclose(profile, ramp, atol=1e-9)
-
-
-def test_what_is_wanted_too_fast_comes_later():
-    told = context()
-    _, rate = flown(Profile(rates_mps=(2.0, 2.0, -2.0, -2.0)), told)
-    east = rate[:, 1]
-    assert np.abs(np.diff(east, prepend=0.0)).max() <= 0.05 * 0.5 * (1.0 + 1e-12)
-    np.testing.assert_allclose(east[:80], 0.025 * np.arange(1, 81))
-    np.testing.assert_allclose(east[80:100], 2.0)
-
-
-@pytest.mark.parametrize("control", ["rate", "acceleration"])
-def test_a_curve_across_goes_to_the_right(control):
     told = context(control)
     along, across = (0.0, 0.4, 0.2), (0.0, -0.1, 0.3, 0.3)
     profile = Profile(rates_mps=along, cross_rates_mps=across, heading_deg=0.0)
@@ -58,7 +45,13 @@ def test_a_curve_across_goes_to_the_right(control):
         assert profile.memory[name][0] == pytest.approx(displacement[-1, i], rel=1e-9)
 
 
-def test_limits_hold_for_the_size_of_both_curves():
+def test_what_is_wanted_too_fast_comes_later_and_limits_hold_for_both_curves():
+    told = context()
+    _, rate = flown(Profile(rates_mps=(2.0, 2.0, -2.0, -2.0)), told)
+    east = rate[:, 1]
+    assert np.abs(np.diff(east, prepend=0.0)).max() <= 0.05 * 0.5 * (1.0 + 1e-12)
+    np.testing.assert_allclose(east[:80], 0.025 * np.arange(1, 81))
+    np.testing.assert_allclose(east[80:100], 2.0)
     told = context(rate_limit_mps=3.0)
     profile = Profile(rates_mps=(2.0, -2.0, 2.0), cross_rates_mps=(2.0, 2.0, -2.0))
     displacement, rate = flown(profile, told)

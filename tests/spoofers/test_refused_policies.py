@@ -16,8 +16,6 @@ from .policies import BLIND, behind, network, write_policy
 
 
 def replaced(op_type, **changes):
-    """Replace the last operator by one of a kind."""
-
     def edit(model):
         node = model.graph.node[-1]
         node.op_type = op_type
@@ -35,7 +33,6 @@ def external(model):
 
 
 def last(model, kind, *inputs, tensors, **attributes):
-    """Replace the last operator."""
     model.graph.node[-1].CopyFrom(helper.make_node(kind, inputs, ["action"], **attributes))
     for name, value in tensors.items():
         model.graph.initializer.append(numpy_helper.from_array(value, name))
@@ -133,7 +130,7 @@ def test_a_truncated_or_changed_file_is_refused(tmp_path):
             OnnxPolicy(str(path))
 
 
-def test_other_things_on_the_card(tmp_path):
+def test_missing_files_and_other_things_on_the_card_are_named(tmp_path):
     path = write_policy(tmp_path, card=lambda card: card["file"].update(opset=17))
     with pytest.raises(ValueError, match="is of opset 18, and 17 on its card"):
         OnnxPolicy(str(path))
@@ -145,9 +142,6 @@ def test_other_things_on_the_card(tmp_path):
     path.with_suffix(".json").write_text(json.dumps({**card, "colour": "red"}))
     with pytest.raises(ValueError, match=r"card .*tiny\.json: `colour`: Extra inputs"):
         OnnxPolicy(str(path))
-
-
-def test_missing_files_are_named(tmp_path):
     path = write_policy(tmp_path)
     path.with_suffix(".json").unlink()
     with pytest.raises(ValueError, match=r"tiny\.onnx has no card: there is no .*tiny\.json"):
@@ -181,7 +175,6 @@ def nothing_by_nothing(model):
 
 
 def long(model):
-    """A chain of more operators than a policy may have."""
     del model.graph.node[-1]
     names = ["z2", *(f"c{k}" for k in range(MOST_OPERATORS)), "action"]
     for pair in pairwise(names):

@@ -13,7 +13,6 @@ NOTHING = np.zeros((2, 0), dtype=np.float32)
 
 
 def pushed(spec):
-    """East command of every epoch."""
     spoofer = make_spoofer(spec)
     spoofer.bind(CONTEXT)
     spoofer.reset()

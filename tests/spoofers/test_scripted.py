@@ -22,7 +22,6 @@ def context(control="acceleration", axes=PLANE, **changes):
 
 
 def flown(spoofer, told):
-    """Displacement and rate (steps, a) of the first receiver, by the attack's kinematics."""
     spoofer.bind(told)
     spoofer.reset()
     displacement, rate = np.zeros(len(told.action_names)), np.zeros(len(told.action_names))
@@ -55,7 +54,7 @@ def test_what_is_remembered_is_what_the_attack_does(name, control):
     assert not displacement[:, 0].any()
 
 
-def test_a_ramp_and_a_step_by_rate_are_straight_lines():
+def test_a_ramp_and_a_step_by_rate_are_straight_lines_and_opposite_headings_mirror():
     displacement, _ = flown(make_spoofer({"name": "ramp", "rate_mps": 0.2}), context("rate"))
     np.testing.assert_allclose(displacement[:, 1], 0.1 * np.arange(1, 301), rtol=1e-12)
     displacement, rate = flown(make_spoofer({"name": "ramp", "rate_mps": 0.2}), context())
@@ -67,6 +66,12 @@ def test_a_ramp_and_a_step_by_rate_are_straight_lines():
     displacement, _ = flown(make_spoofer({"name": "ramp", "rate_mps": -0.1}), told)
     assert (displacement[-1] < -14.0).all()
     assert np.ptp(displacement, axis=1).max() == 0.0
+    one, other = (
+        flown(make_spoofer({"name": "ramp", "heading_deg": heading}), context())[0]
+        for heading in (30.0, 210.0)
+    )
+    np.testing.assert_allclose(one, -other, atol=1e-12)
+    np.testing.assert_allclose(one[1:, 1] / one[1:, 0], np.tan(np.radians(30.0)), rtol=1e-9)
 
 
 @pytest.mark.parametrize("control", ["rate", "acceleration"])
@@ -104,15 +109,6 @@ def test_a_step_arrives_stops_and_never_overshoots(size, limit, fastest, interva
     if arrived < told.steps:
         np.testing.assert_allclose(d[arrived:], size, rtol=1e-9)
         np.testing.assert_allclose(v[arrived:], 0.0, atol=1e-9)
-
-
-def test_a_heading_and_its_opposite_mirror_each_other():
-    one, other = (
-        flown(make_spoofer({"name": "ramp", "heading_deg": heading}), context())[0]
-        for heading in (30.0, 210.0)
-    )
-    np.testing.assert_allclose(one, -other, atol=1e-12)
-    np.testing.assert_allclose(one[1:, 1] / one[1:, 0], np.tan(np.radians(30.0)), rtol=1e-9)
 
 
 @pytest.mark.parametrize(("last_s", "waits"), [(5.0, 30), (20.0, 0), (1000.0, 0)])

@@ -43,7 +43,7 @@ def test_it_learns_the_law_of_the_statistic():
     np.testing.assert_allclose(np.sqrt(spoofer.memory["variance"]), 0.02, rtol=0.5)
 
 
-def test_the_statistic_stays_below_the_margin_where_the_curve_alone_would_exceed_it():
+def test_the_statistic_stays_below_the_margin_and_more_margin_goes_farther():
     free, names = rider(rates_mps=(0.1, 0.9), margin=100.0, horizon_s=5.0)
     assert ridden(free, names).max() > 1.5
     held, names = rider(rates_mps=(0.1, 0.9), margin=0.9, horizon_s=5.0)
@@ -54,9 +54,6 @@ def test_the_statistic_stays_below_the_margin_where_the_curve_alone_would_exceed
     seen = np.zeros((2, len(names)), dtype=np.float32)
     seen[:, names.index("statistic_ratio")] = [0.0, 5.0]
     np.testing.assert_array_equal(waiting.wanted_rate(seen), [0.3, 0.0])
-
-
-def test_more_margin_goes_farther_and_reserve_less_far():
     far = []
     for settings in ({"margin": 0.6}, {"margin": 0.9}, {"margin": 0.9, "deviations": 2.0}):
         spoofer, names = rider(rates_mps=(0.1, 0.9), horizon_s=5.0, **settings)

@@ -17,12 +17,11 @@ from .policies import write_policy
 
 @pytest.fixture
 def zoo(tmp_path, monkeypatch):
-    """A zoo of one."""
     monkeypatch.setattr("spoofgym.policies.zoo.ZOO_FOLDER", tmp_path)
     return write_policy(tmp_path, "ewma-tiny")
 
 
-def test_a_shipped_name_makes_its_spoofer(zoo):
+def test_a_shipped_name_makes_its_spoofer_and_a_profile_is_its_settings(zoo):
     assert list_shipped() == ("ewma-tiny",)
     policy = make_spoofer("ewma-tiny")
     assert isinstance(policy, OnnxPolicy)
@@ -32,9 +31,6 @@ def test_a_shipped_name_makes_its_spoofer(zoo):
         assert make_spoofer(spec) == policy
     assert make_spoofer(str(zoo)).sha256 == policy.sha256
     assert resolve_spec("ewma-tiny") == {**named, "sha256": policy.sha256}
-
-
-def test_a_shipped_profile_is_its_settings(zoo):
     settings = {"rates_mps": [0.0, 0.2], "heading_deg": 90.0}
     card = json.loads(zoo.with_suffix(".json").read_text())
     card |= {"kind": "profile", "file": None, "observation": None}

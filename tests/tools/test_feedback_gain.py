@@ -32,8 +32,7 @@ def test_feedback_is_fitted_no_worse_than_the_curve_that_it_follows(monkeypatch)
     # switched off it is the curve
     monkeypatch.setattr(feedback_gain, "TRIED", {OPEN_LOOP: [{}], FEEDBACK: []})
     off = play_kinds(judge, CURVE)[FEEDBACK]
-    assert off["settings"] == OFF
-    assert off["ratio"] == {"value": 1.0, "low": 1.0, "high": 1.0}
+    assert (off["settings"], off["ratio"]) == (OFF, {"value": 1.0, "low": 1.0, "high": 1.0})
 
 
 def test_the_headlines_give_curve_bound_and_room():

@@ -17,7 +17,6 @@ CASE = Case("spoofgym/Snapshot-v0", "same_step", 3)
 
 
 def recorded(folder, values, names=None):
-    """Columns of a record that has gone through its file."""
     record = Record()
     for step, value in enumerate(values):
         record.add(step, ("info",), value)
@@ -159,7 +158,7 @@ def test_what_differs_is_named_but_for_what_is_declared(tmp_path, change, scope,
     assert {each.key for each in found} == {f"info/{key}" for key in expected.split()}
 
 
-def test_a_part_of_a_name_is_not_renamed_and_a_slash_within_is_not_between_parts():
+def test_only_whole_parts_of_a_name_are_renamed_and_scopes_are_ids_and_patterns(tmp_path):
     scope = Scope({"cost": "price", "a/b": "c", "pool": "opponents"})
     for path, expected in (
         ("cost_m", "cost_m"),
@@ -167,6 +166,22 @@ def test_a_part_of_a_name_is_not_renamed_and_a_slash_within_is_not_between_parts
         ("json [spoofgym/Snapshot-v0] pool", "json [spoofgym/Snapshot-v0] opponents"),
     ):
         assert scope.rename(tuple(path.split())) == tuple(expected.split())
+    names = Names(
+        renamed={"*": {"a": "b"}, "spoofgym/Snap*": {"c": "d"}},
+        dropped={"spoofgym/Snapshot-v0": {"e": "said why"}},
+    )
+    scope = Scope({"a": "b", "c": "d"}, {}, {"e": "said why"})
+    assert names.of("spoofgym/Snapshot-v0+twin") == scope
+    assert names.of("duel_v0+weighted") == Scope({"a": "b"})
+    file = tmp_path / "names.toml"
+    for text, message in (
+        ("[rename]\n", "'rename'"),
+        ('[dropped."*"]\nkey = ""\n', r"dropped \* key needs a reason"),
+    ):
+        file.write_text(text)
+        with pytest.raises(ValueError, match=message):
+            Names.load(file)
+    assert {*Names.load(frozen.NAMES).volatile} == {"bench", "dataset", "paper"}
 
 
 def test_elements_of_an_observation_are_named_and_mapped(tmp_path):
@@ -193,25 +208,6 @@ def test_elements_of_an_observation_are_named_and_mapped(tmp_path):
         last = np.array([None, np.float32([1.0, 2.0])], dtype=object)
         kept = recorded(tmp_path, [{key: last}], {"observation": ["east", "north"]})
         assert kept[("info", key, "[1]", "north")].values.tolist() == [2.0]
-
-
-def test_scopes_are_ids_and_patterns_without_variants(tmp_path):
-    names = Names(
-        renamed={"*": {"a": "b"}, "spoofgym/Snap*": {"c": "d"}},
-        dropped={"spoofgym/Snapshot-v0": {"e": "said why"}},
-    )
-    scope = Scope({"a": "b", "c": "d"}, {}, {"e": "said why"})
-    assert names.of("spoofgym/Snapshot-v0+twin") == scope
-    assert names.of("duel_v0+weighted") == Scope({"a": "b"})
-    file = tmp_path / "names.toml"
-    for text, message in (
-        ("[rename]\n", "'rename'"),
-        ('[dropped."*"]\nkey = ""\n', r"dropped \* key needs a reason"),
-    ):
-        file.write_text(text)
-        with pytest.raises(ValueError, match=message):
-            Names.load(file)
-    assert {*Names.load(frozen.NAMES).volatile} == {"bench", "dataset", "paper"}
 
 
 def test_an_error_and_an_id_of_one_tree_alone_are_differences():

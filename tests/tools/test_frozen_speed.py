@@ -10,8 +10,6 @@ from tools.frozen_probe import SPEEDS, Stopwatch
 
 
 class Fake:
-    """A probe that notes when it runs, and says how long a step took."""
-
     def __init__(self, tree, log, answer):
         self.tree, self.log, self.answer = tree, log, answer
 

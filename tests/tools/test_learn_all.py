@@ -18,7 +18,6 @@ from tools.learn_all import MARKS, Step, list_steps, main, run
 
 
 def writing(path):
-    """A step that appends a line to a file."""
     return Step(["-c", f"open({str(path)!r}, 'a').write('x')"])
 
 

@@ -53,7 +53,6 @@ SUMS, ADD = "spoofgym/receiver/sums.py", "def add(a, b):\n    return a + b\n"
 
 @pytest.fixture
 def checkout(tmp_path, monkeypatch):
-    """A project of one function, with a test that notices some of its mutants."""
     root = tmp_path / "project"
     notices = "from spoofgym.receiver.sums import add\ndef test_it(): assert abs(add(1, 2)) == 3\n"
     files = {"spoofgym/__init__.py": "", "spoofgym/receiver/__init__.py": "", SUMS: ADD}
@@ -75,8 +74,7 @@ def test_mutants_are_tried_and_a_run_goes_on(checkout, tmp_path):
     out = tmp_path / "mutants.csv"
     mutants.main(out, count=2, kernels=0)
     operator, returned = sorted(read_mutants(out), key=lambda each: each.kind)
-    assert operator.outcome == KILLED
-    assert operator.test == "tests/receiver/test_sums.py::test_it"
+    assert (operator.outcome, operator.test) == (KILLED, "tests/receiver/test_sums.py::test_it")
     assert (returned.outcome, returned.test) == (SURVIVED, "")
     content = out.read_text()
     mutants.main(out)  # nothing is left to do

@@ -35,7 +35,9 @@ def rows(folder):
     return {(row["home"], row["world"]): row for row in found}
 
 
-def test_amplitudes_are_refitted_or_those_of_home(rows):
+def test_amplitudes_are_refitted_or_those_of_home_and_what_is_kept_is_not_played_again(
+    rows, folder, monkeypatch
+):
     for home in CHANGES:
         for kind in ("as fitted at home", "refitted"):
             found = rows[home, home][kind]
@@ -52,9 +54,6 @@ def test_amplitudes_are_refitted_or_those_of_home(rows):
     words = line(row)
     assert words[0] == "ramp(tuned) (blind)"
     assert ["over the budget" in word for word in words[3:5]] == [True, False]
-
-
-def test_what_is_kept_is_not_played_again(folder, rows, monkeypatch):
     monkeypatch.setattr(Evaluator, "score", None)
     monkeypatch.setattr(Evaluator, "fit", None)
     worlds = evaluators("T1", CHANGES, **SIZES, threads=1)

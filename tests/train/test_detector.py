@@ -59,7 +59,6 @@ def arguments(data, out, **changes):
 
 @pytest.fixture(scope="module")
 def file(data, tmp_path_factory):
-    """What a training of three passes has written."""
     return train(arguments(data, tmp_path_factory.mktemp("whole") / "guard"), QUIET)
 
 
@@ -258,7 +257,7 @@ def made_up(clean, attacked):
     return statistic, found, {"epochs": epochs, "interval_s": 36.0, "length_m": 3.0}
 
 
-def test_a_score_is_the_displacement_before_an_alarm_at_a_quantile_of_clean_maxima():
+def test_a_score_is_displacement_before_an_alarm_and_the_smooth_loss_where_odds_are_sharp():
     clean, attacked = np.zeros((9, 6)), np.zeros((9, 6))
     clean[:, 3] = np.arange(1.0, 10.0)  # maxima 1 to 9
     attacked[:8, 4] = 20.0  # an alarm at the fourth epoch after the onset, but for the last run
@@ -268,15 +267,11 @@ def test_a_score_is_the_displacement_before_an_alarm_at_a_quantile_of_clean_maxi
     assert found.threshold == 8.0
     assert found.counted == 8  # one twin is above it
     # alarms come an epoch of hold after what counts: 2 m
-    assert found.mean_m == pytest.approx(2.0)
-    assert found.loss == pytest.approx(2.0 / 3.0)
+    assert (found.mean_m, found.loss) == (pytest.approx(2.0), pytest.approx(2.0 / 3.0))
     clean[:, 0] = 30.0  # in the warm-up, where it decides nothing but which runs count
     attacked[:, 0] = 30.0
     nobody = score_statistic(*made_up(clean, attacked), rate)
     assert (nobody.threshold, nobody.counted, nobody.loss) == (8.0, 0, 1.0)
-
-
-def test_the_smooth_loss_is_the_score_where_odds_are_sharp():
     clean, attacked = np.zeros((9, 6)), np.zeros((9, 6))
     clean[0, 3] = 1.0  # one in twenty of nine: the largest is the threshold
     attacked[:5, 3] = 2.0  # an alarm at the third epoch of the attack, with one of hold

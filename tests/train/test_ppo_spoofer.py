@@ -180,7 +180,6 @@ def world(attack_s=10, **settings):
 
 
 def whole(task, **given):
-    """A world that takes a minute to make."""
     return {"detector": "never", "settings": "{}", "task": task, **given}
 
 
@@ -206,8 +205,7 @@ def whole(task, **given):
 )
 def test_full_scale_and_decisions_fit_attack_and_alert_limit(given, action, length_m, steps):
     envs = environment(**given)
-    assert envs.core.episode_steps == steps
-    assert envs.core.length_m == length_m
+    assert (envs.core.episode_steps, envs.core.length_m) == (steps, length_m)
     if action:
         assert action.items() <= envs.env_kwargs["action"].items()
     elif "task" not in given:

@@ -17,7 +17,6 @@ from train.spoofers import DETECTORS, PAGE, TABLE, Settings, play
 
 @pytest.fixture
 def small(tmp_path, monkeypatch):
-    """One detector of one world, with thresholds as published."""
     monkeypatch.setitem(DETECTORS, "snapshot-chi2", "snapshot-chi2:thresholds=nominal")
     monkeypatch.setattr(spoofers, "RIVALS", ("ramp",))
     timeline = {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}

@@ -47,7 +47,6 @@ def joined(*records):
 
 
 def later(record, by, **changes):
-    """The same orbit told by a record for another time."""
     e = record
     week = SECONDS_PER_WEEK
     toe = e.time_of_ephemeris + by

@@ -35,7 +35,6 @@ def run_of(truth, lengths):
 
 
 def sensors_of(receivers=1, **values):
-    """Sensors without errors, but for those given."""
     fields = LaneFields(receivers, SHAPES)
     for name, value in {**PERFECT, **values}.items():
         fields[name] = value

@@ -24,15 +24,12 @@ from .records import HOUR, ORBIT, SATURDAY_22, chain, joined, later, one_record
 PROPERTY = settings(deadline=None, max_examples=50)
 
 
-def test_gps_seconds_of_known_weeks():
+def test_gps_seconds_of_known_weeks_and_of_civil_time_with_leap_seconds():
     assert gps_seconds(datetime(1980, 1, 6)) == 0.0
     # header of igs15904.sp3: week 1590, second 345600
     assert gps_seconds(datetime(2010, 7, 1)) == 1590 * SECONDS_PER_WEEK + 345600.0
     # the 10-bit week number rolled over on this day
     assert gps_seconds(datetime(2019, 4, 7)) == 2048 * SECONDS_PER_WEEK
-
-
-def test_civil_time_gains_the_leap_seconds():
     kathmandu = timezone(timedelta(hours=5, minutes=45))
     for moment, leap_seconds in (
         (datetime(1980, 1, 6), 0),
@@ -119,16 +116,13 @@ def test_the_nearest_record_is_followed_whenever_the_run_starts(late):
     assert_allclose(states.velocity_e[:, 0], expected.velocity_e, rtol=0, atol=1e-9)
 
 
-def test_nothing_beyond_two_hours_of_a_record():
+def test_nothing_unhealthy_is_flown_nor_beyond_two_hours_of_a_record():
     constellation = BroadcastConstellation(chain(0.0, 0.0, interval=6 * HOUR), SATURDAY_22)
     times = np.array([-2.01, -2.0, 2.0, 2.01, 3.99, 4.0, 8.0, 8.01]) * HOUR
     known = [False, True, True, False, False, True, True, False]
     for array in constellation.states(times):
         assert_array_equal(np.isfinite(array).all(axis=(1, 2)), known)
         assert_array_equal(np.isnan(array).all(axis=(1, 2)), np.logical_not(known))
-
-
-def test_unhealthy_satellites_are_not_flown():
     first = one_record()
     others = one_record("G02", health=1.0), one_record("G11")
     records = joined(first, later(first, 2 * HOUR, health=63.0), *others)
@@ -213,3 +207,92 @@ def test_unhealthy_satellites_of_a_day(data_folder):
     known = np.isfinite(constellation.states([0.0]).position_e[0]).all(axis=-1)
     ids = np.array(constellation.satellite_ids)
     assert set(ids[~known].tolist()) == {"G24", "G27"}
+
+
+def rejected_records(ephemerides):
+    _, report = screen(ephemerides)
+    toe = ephemerides.time_of_ephemeris.tolist()
+    return [toe.index(rejection.time_of_ephemeris) for rejection in report.rejections]
+
+
+@PROPERTY
+@given(count=st.integers(3, 9), data=st.data(), error=st.floats(110.0, 2e7) | st.floats(-2e7, -110))
+def test_a_single_bad_record_is_found_wherever_it_stands(count, data, error):
+    bad = data.draw(st.integers(0, count - 1))
+    errors = [0.0] * count
+    errors[bad] = error
+    records = chain(*errors)
+    assert rejected_records(records) == [bad]
+    kept, report = screen(records)
+    assert (report.records, report.rejected, report.unresolved) == (count, 1, 0)
+    assert len(kept) == count - 1
+
+
+@PROPERTY
+@given(errors=st.lists(st.floats(-45.0, 45.0), min_size=1, max_size=9))
+def test_broadcast_errors_are_no_contradiction(errors):
+    kept, report = screen(chain(*errors))
+    assert (len(kept), report.rejected, report.unresolved) == (len(errors), 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("errors", "bad"),
+    [
+        ((0, 0, 5000, -9000, 0, 0), [2, 3]),
+        ((0, 5000, -9000, 0), [1, 2]),
+        ((5000, -9000, 0, 0), [0, 1]),
+        ((0, 500, 0, 2e6, 0), [1, 3]),
+        ((5000, 0, 0, -9000), [0, 3]),
+    ],
+)
+def test_two_bad_records_are_found(errors, bad):
+    # half an hour apart, so that records beyond the bad ones are near enough to compare
+    assert rejected_records(chain(*errors, interval=0.5 * HOUR)) == bad
+
+
+@pytest.mark.parametrize(
+    ("records", "counts"),
+    [
+        (chain(0, 0, 5000, -9000, 0, 0), (2, 0, 0)),  # in a row, two hours apart
+        (chain(0, 0, 5000, 5000, 0, 0), (0, 2, 0)),  # wrong alike: they confirm each other
+        (chain(0, 5000), (0, 1, 0)),  # of which either may be wrong
+        (one_record(), (0, 0, 1)),
+        (chain(0, 5000, 0, interval=4.1 * HOUR), (0, 0, 3)),  # too far apart to be compared
+        (chain(0, 5000, 0, interval=4.0 * HOUR), (1, 0, 2)),
+    ],
+)
+def test_what_neighbours_cannot_tell_is_kept_and_counted(records, counts):
+    kept, report = screen(records)
+    assert (report.rejected, report.unresolved, report.unchecked) == counts
+    assert len(kept) == len(records) - report.rejected
+
+
+def test_unhealthy_neighbours_bear_witness_and_copies_and_other_satellites_none():
+    # G01 in brdc1820.10n: the only record marked healthy is the wrong one
+    records = chain(0, 0, 2e7, 0)
+    records = replace(records, health=np.array([63.0, 63.0, 0.0, 63.0]))
+    kept, report = screen(records)
+    assert (rejected_records(records), report.unhealthy) == ([2], 3)
+    assert not kept.healthy.any()
+    records = chain(0, 5000, 0)
+    rounded = replace(records, node=records.node * (1.0 + 1e-13))
+    kept, report = screen(joined(records, rounded, records))
+    assert (report.records, report.duplicates, report.rejected) == (9, 6, 1)
+    assert_array_equal(kept.time_of_ephemeris, SATURDAY_22 + np.array([0.0, 4.0]) * HOUR)
+    kept, report = screen(joined(one_record(), one_record(health=63.0), one_record()))
+    assert (report.duplicates, report.unhealthy) == (2, 1)
+    assert_array_equal(kept.health, [63.0])  # the unhealthy one stays
+    other = one_record("G06", mean_anomaly=2.0)
+    records = joined(chain(0, 0, 5000, 0), other, later(other, 2 * HOUR), later(other, 4 * HOUR))
+    assert rejected_records(records) == [2]
+    assert screen(records)[0].satellite_id.tolist() == ["G05"] * 3 + ["G06"] * 3
+
+
+@PROPERTY
+@given(order=st.permutations(range(7)))
+def test_the_order_of_the_records_does_not_matter(order):
+    records = chain(0, 0, 5000, 0, 0, -9000, 0)
+    kept, report = screen(records)
+    shuffled, same_report = screen(records.take(order))
+    assert same_report == report
+    assert_array_equal(shuffled.time_of_ephemeris, kept.time_of_ephemeris)

@@ -62,7 +62,7 @@ def test_orbits_are_circles_in_planes_that_stand_still(constellation, time):
     assert_allclose(shifted.states([0.0]).position_e[0], states.position_e[0], atol=1e-3)
 
 
-def test_five_satellites_on_each_of_six_planes():
+def test_five_satellites_on_each_of_six_planes_have_ids_in_order():
     position_e, velocity_e = CircularConstellation().states([0.0])
     h = np.cross(*inertial(0.0, position_e[0], velocity_e[0]))
     node_deg = np.rad2deg(np.arctan2(h[:, 0], -h[:, 1])) % 360.0
@@ -70,9 +70,6 @@ def test_five_satellites_on_each_of_six_planes():
     assert_array_equal(planes, np.arange(6))
     assert_array_equal(count, 5)
     assert_allclose(np.round(node_deg / 60.0) * 60.0, node_deg, atol=1e-9)
-
-
-def test_satellites_have_ids_in_order_and_contiguous_states():
     constellation = CircularConstellation()
     assert constellation.satellite_ids == tuple(f"S{k:02d}" for k in range(1, 31))
     for array in constellation.states(np.arange(4)):

@@ -18,7 +18,7 @@ from spoofgym.truth.sensors import IMU_GRADES, SensorBuffers
 N = 8
 
 
-def test_biases_in_the_zenith_and_at_the_horizon():
+def test_biases_in_the_zenith_and_at_the_horizon_and_errors_measured_on_the_trolley():
     errors = ERRORS["groves"]
     zenith, horizon = errors.bias_sd(np.array([math.pi / 2, 0.0]))
     assert zenith == pytest.approx(math.sqrt(1.0 + 2.0**2 + 0.2**2))
@@ -27,6 +27,12 @@ def test_biases_in_the_zenith_and_at_the_horizon():
     assert (np.diff(errors.bias_sd(elevation)) < 0.0).all()  # the lower, the longer the path
     np.testing.assert_array_equal(ERRORS["white"].bias_sd(elevation), 0.0)
     np.testing.assert_array_equal(ERRORS["zhong2025"].bias_sd(elevation), 1.0)
+    # autocorrelation of the code error: 0.73 at 1 s, 0.32 at 30 s, 0.02 at 120 s
+    errors = ERRORS["trolley"]
+    wandering, white = errors.correlated_sd_m**2, errors.code_sd_m**2
+    for lag, found in ((1.0, 0.73), (30.0, 0.32), (120.0, 0.02)):
+        model = wandering * math.exp(-lag / errors.correlation_s) / (wandering + white)
+        assert model == pytest.approx(found, abs=0.06)
 
 
 @njit
@@ -68,7 +74,7 @@ SILENT = GnssErrors(
 )
 
 
-def test_without_noise_clock_and_attack_are_left():
+def test_sources_of_noise_have_streams_of_their_own_and_without_them_clock_and_attack_are_left():
     def attack(buffers):
         buffers.range_offset[0] = np.arange(N) * 3.0
         buffers.rate_offset[0] = np.arange(N) * -0.1
@@ -81,6 +87,15 @@ def test_without_noise_clock_and_attack_are_left():
     np.testing.assert_allclose(
         rates, np.tile(-20.0 - 0.1 * np.arange(N), (5, 1)), rtol=0, atol=1e-12
     )
+    white = replace(SILENT, code_sd_m=1.0, range_rate_sd_mps=0.1)
+    quiet, rates, quiet_clocks, _ = epochs_of(white, 30)
+    noisy, _, clocks, _ = epochs_of(replace(white, clock=ReceiverClock(phase_psd=1.0)), 30)
+    np.testing.assert_allclose(noisy - clocks[:, :1], quiet - quiet_clocks[:, :1], atol=2e-8)
+    both, same, _, fields = epochs_of(replace(white, correlated_sd_m=0.75), 30)
+    np.testing.assert_array_equal(rates, same)
+    np.testing.assert_allclose((both - quiet)[-1], fields["correlated"][0], rtol=0, atol=1e-8)
+    alone, _, _, _ = epochs_of(replace(SILENT, correlated_sd_m=0.75), 30)
+    np.testing.assert_allclose(both - quiet, alone - quiet_clocks[:, :1], rtol=0, atol=2e-8)
 
 
 def test_biases_stay_and_the_rest_is_white():
@@ -99,18 +114,6 @@ def test_biases_stay_and_the_rest_is_white():
         assert np.abs(channels).max() < 5.0 / math.sqrt(count)
     assert abs(np.corrcoef(white.ravel(), rates.ravel())[0, 1]) < 4.0 / math.sqrt(count * N)
     assert 0.5 < fields["satellite_bias"][0].std() < 6.0
-
-
-def test_sources_of_noise_have_streams_of_their_own():
-    white = replace(SILENT, code_sd_m=1.0, range_rate_sd_mps=0.1)
-    quiet, rates, quiet_clocks, _ = epochs_of(white, 30)
-    noisy, _, clocks, _ = epochs_of(replace(white, clock=ReceiverClock(phase_psd=1.0)), 30)
-    np.testing.assert_allclose(noisy - clocks[:, :1], quiet - quiet_clocks[:, :1], atol=2e-8)
-    both, same, _, fields = epochs_of(replace(white, correlated_sd_m=0.75), 30)
-    np.testing.assert_array_equal(rates, same)
-    np.testing.assert_allclose((both - quiet)[-1], fields["correlated"][0], rtol=0, atol=1e-8)
-    alone, _, _, _ = epochs_of(replace(SILENT, correlated_sd_m=0.75), 30)
-    np.testing.assert_allclose(both - quiet, alone - quiet_clocks[:, :1], rtol=0, atol=2e-8)
 
 
 WANDERING = replace(
@@ -160,12 +163,3 @@ def test_errors_of_authentic_signals_can_be_taken_away_with_the_receivers_noise_
     np.testing.assert_allclose(ranges[0, 5], own[0, 5] - 0.75 * path[5], rtol=0, atol=2e-8)
     np.testing.assert_array_equal(ranges[0, 6:], own[0, 6:])
     np.testing.assert_array_equal(rates[0, 2:], own_rates[0, 2:])
-
-
-def test_the_errors_on_the_trolley_are_those_that_were_measured():
-    """Autocorrelation of the code error: 0.73 at 1 s, 0.32 at 30 s, 0.02 at 120 s."""
-    errors = ERRORS["trolley"]
-    wandering, white = errors.correlated_sd_m**2, errors.code_sd_m**2
-    for lag, found in ((1.0, 0.73), (30.0, 0.32), (120.0, 0.02)):
-        model = wandering * math.exp(-lag / errors.correlation_s) / (wandering + white)
-        assert model == pytest.approx(found, abs=0.06)

@@ -81,7 +81,7 @@ def test_every_world_of_a_chain_is_the_one_built_alone(turned_deg):
             np.testing.assert_array_equal(each, whole[some])
 
 
-def test_mappings_of_the_past_are_those_of_the_truth_but_for_half_an_interval():
+def test_mappings_of_the_past_are_those_of_the_truth_and_begin_again_with_a_satellite():
     world = Scenario(flight="approach").world()
     true = compute_mappings(world.elevation, 0.5, world.epochs)
     last, found = np.zeros((1, world.channels, MAPPINGS)), []
@@ -96,10 +96,6 @@ def test_mappings_of_the_past_are_those_of_the_truth_but_for_half_an_interval():
     assert (apart > 0.0).all()
     assert (apart < 4e-6).all()
     assert (np.abs(true[:, [1, 3]]).max(axis=0) > 30.0 * apart).all()
-
-
-def test_mappings_begin_again_with_a_satellite_that_rises():
-    world = Scenario(flight="approach").world()
     first, second = (world.look(slice(k, k + 1))[0] for k in (100, 101))
     seen, none = np.ones((1, world.channels), dtype=bool), np.zeros((1, world.channels, MAPPINGS))
     unseen = seen.copy()

@@ -50,7 +50,7 @@ def test_a_turn_changes_the_heading_by_its_angle(angle_deg):
     np.testing.assert_allclose(flight.geodetic[2], 2000.0, atol=1e-3)
 
 
-def test_a_long_turn_holds_its_bank_and_a_short_one_keeps_its_ramps():
+def test_a_long_turn_holds_its_bank_and_after_an_acceleration_it_is_of_the_new_speed():
     flight = flown(Turn(180.0, bank_deg=30.0))
     middle = flight.time.size // 2
     assert math.degrees(flight.euler[0].max()) == pytest.approx(30.0, abs=1e-6)
@@ -59,6 +59,10 @@ def test_a_long_turn_holds_its_bank_and_a_short_one_keeps_its_ramps():
     short = flown(Turn(2.0, bank_deg=30.0, ramp_s=4.0))
     assert 0.0 < math.degrees(short.euler[0].max()) < 30.0
     assert short.duration == pytest.approx(8.0)
+    flight = flown(Accelerate(60.0), Turn(90.0, bank_deg=20.0))
+    roll, _, yaw = flight.euler
+    rate = np.gradient(np.unwrap(yaw), flight.step)
+    np.testing.assert_allclose(np.tan(roll), 180.0 * rate / G, atol=1e-4)
 
 
 @pytest.mark.parametrize("height_m", [-300.0, 20.0])
@@ -80,21 +84,11 @@ def test_an_acceleration_changes_the_speed(change_mps):
     assert np.abs(np.gradient(speed(flight), flight.step)).max() < 2.0 + 1e-6
 
 
-def test_a_turn_after_an_acceleration_is_coordinated_at_the_new_speed():
-    flight = flown(Accelerate(60.0), Turn(90.0, bank_deg=20.0))
-    roll, _, yaw = flight.euler
-    rate = np.gradient(np.unwrap(yaw), flight.step)
-    np.testing.assert_allclose(np.tan(roll), 180.0 * rate / G, atol=1e-4)
-
-
-def test_until_ends_at_its_time_at_any_rate():
+def test_until_ends_at_its_time_at_any_rate_and_the_antimeridian_is_any_meridian():
     plan = Straight(5.0), Turn(60.0), Until(60.0), Climb(200.0), Until(90.0)
     coarse, fine = (flown(*plan, rate_hz=rate_hz) for rate_hz in (50.0, 200.0))
     assert (coarse.duration, coarse.time.size, fine.time.size) == (90.0, 4501, 18001)
     assert np.linalg.norm(coarse.position_e[-1] - fine.position_e[-1]) < 0.01
-
-
-def test_the_antimeridian_is_a_meridian_like_any_other():
     east, west = (flown(Turn(45.0), longitude_deg=degree) for degree in (179.999, -179.999))
     apart = east.geodetic[1] - west.geodetic[1]
     np.testing.assert_allclose(np.degrees(apart) % 360.0, 359.998, atol=1e-9)

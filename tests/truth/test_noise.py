@@ -77,28 +77,16 @@ def test_a_pair_is_that_of_box_and_muller(word):
 
 @pytest.fixture(scope="module")
 def sample():
-    """256 epochs of 1024 deviates."""
     return np.array([draw((1, 2), epoch) for epoch in range(256)])
 
 
-def test_deviates_have_the_normal_distribution(sample):
+def test_deviates_are_normal_and_independent_within_an_epoch_and_from_epoch_to_epoch(sample):
     assert scipy.stats.kstest(sample.ravel(), "norm").pvalue > 1e-3
     for part in np.split(sample, 4, axis=1):  # each of the four that one counter gives
         assert scipy.stats.kstest(part.ravel(), "norm").pvalue > 1e-3
     beyond = int((np.abs(sample) > 4.0).sum())
     expected = sample.size * 2.0 * scipy.stats.norm.sf(4.0)
     assert abs(beyond - expected) < 4.0 * math.sqrt(expected)
-
-
-def uncorrelated(a, b):
-    """Whether neither two samples nor their sizes are correlated."""
-    bound = 4.5 / math.sqrt(a.size)
-    return all(
-        abs(np.corrcoef(f(a).ravel(), f(b).ravel())[0, 1]) < bound for f in (np.asarray, np.square)
-    )
-
-
-def test_deviates_are_independent_within_an_epoch_and_from_epoch_to_epoch(sample):
     for one, other in combinations(np.split(sample, 4, axis=1), 2):
         assert uncorrelated(one, other)
     for lag in (1, 2, 3, 64, 255):
@@ -107,6 +95,13 @@ def test_deviates_are_independent_within_an_epoch_and_from_epoch_to_epoch(sample
         assert uncorrelated(sample[lag:], sample[:-lag])
     for key in ((1, 3), (0, 2), (2, 1), (1 + 2**63, 2)):
         assert uncorrelated(sample, np.array([draw(key, epoch) for epoch in range(256)]))
+
+
+def uncorrelated(a, b):
+    bound = 4.5 / math.sqrt(a.size)
+    return all(
+        abs(np.corrcoef(f(a).ravel(), f(b).ravel())[0, 1]) < bound for f in (np.asarray, np.square)
+    )
 
 
 def test_a_shorter_draw_uses_the_same_words():

@@ -35,13 +35,7 @@ def test_unknown_and_old_names_are_told_with_the_valid_ones(make, said):
         make()
 
 
-def test_the_world_of_a_named_flight_is_computed_once():
-    scenario = Scenario(flight="car", epoch_interval_s=1.0)
-    assert scenario.world() is Scenario(flight="car", epoch_interval_s=1.0, errors="white").world()
-    assert scenario.world() is not replace(scenario, epoch_interval_s=0.5).world()
-
-
-def test_settings_reach_the_world():
+def test_settings_reach_the_world_and_that_of_a_named_flight_is_computed_once():
     scenario = Scenario(
         flight=car(),
         epoch_interval_s=2.0,
@@ -51,11 +45,13 @@ def test_settings_reach_the_world():
         errors=replace(ERRORS["white"], code_sd_m=3.0),
     )
     world = scenario.world()
-    assert world.channels == 7
-    assert world.epoch_time[1] == 2.0
+    assert (world.channels, world.epoch_time[1]) == (7, 2.0)
     assert world.elevation[world.visible].min() > np.radians(20.0)
     np.testing.assert_array_equal(world.run, replace(scenario, flight="car").world().run)
     assert scenario.gnss_errors is scenario.errors
+    scenario = Scenario(flight="car", epoch_interval_s=1.0)
+    assert scenario.world() is Scenario(flight="car", epoch_interval_s=1.0, errors="white").world()
+    assert scenario.world() is not replace(scenario, epoch_interval_s=0.5).world()
 
 
 @pytest.mark.parametrize("flight", sorted(FLIGHTS.keys() - {"en-route", "terminal"}))

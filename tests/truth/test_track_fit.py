@@ -74,7 +74,9 @@ def distance(flight, other):
     return np.linalg.norm(flight.position_e - other.position_e[: flight.time.size], axis=1)
 
 
-def test_a_track_without_errors_leads_back_to_its_flight(true, fitted):
+def test_a_track_without_errors_leads_back_to_its_flight_and_the_report_says_what_it_does(
+    true, fitted
+):
     flight, report = fitted
     assert flight.duration == true.duration
     assert distance(flight, true).max() < 0.5 * POSITION_SD
@@ -88,6 +90,15 @@ def test_a_track_without_errors_leads_back_to_its_flight(true, fitted):
     middle = round(205.0 / flight.step)
     bank = flight.euler[0][middle], true.euler[0][middle]
     assert np.degrees(bank[0]) == pytest.approx(np.degrees(bank[1]), abs=3.0)
+    flight, report = fitted
+    trajectory = inverse_kinematics(flight)
+    load = -trajectory.specific_force_b[:, 2] / STANDARD_GRAVITY
+    speed = np.hypot(*flight.velocity_n[:, :2].T)
+    assert (report.load_min_g, report.load_max_g) == (load.min(), load.max())
+    assert (report.speed_min_mps, report.speed_max_mps) == (speed.min(), speed.max())
+    assert report.start_utc == "2024-01-01T00:00:00+00:00"
+    assert json.loads(json.dumps(report.as_dict()))["fixes"] == report.fixes == 61
+    assert f"{report.position_rms_m:.0f} m" in " ".join(report.lines())
 
 
 def test_the_fitted_flight_is_coordinated_and_smooth_wherever_it_is(fitted):
@@ -102,10 +113,16 @@ def test_the_fitted_flight_is_coordinated_and_smooth_wherever_it_is(fitted):
     np.testing.assert_allclose(there.angular_rate_b, rate, atol=1e-5)
 
 
-def test_errors_of_fixes_are_smoothed_out(true):
+def test_errors_of_fixes_are_smoothed_out_and_a_wild_speed_bends_nothing(true, fitted):
     flight, report = fit_track(sampled(true, error_m=POSITION_SD))
     assert np.sqrt(np.mean(distance(flight, true) ** 2)) < POSITION_SD
     assert 0.7 < report.position_rms_m / (math.sqrt(2.0) * POSITION_SD) < 1.3
+    track = sampled(true)
+    speed = track.groundspeed.copy()
+    speed[20] += 60.0
+    flight, report = fit_track(dataclasses.replace(track, groundspeed=speed))
+    assert report.doubted == 1
+    assert np.abs(flight.velocity_n - fitted[0].velocity_n).max() < 2.5 * VELOCITY_SD
 
 
 @pytest.mark.parametrize("missing", [["track_angle"], ["groundspeed"]])
@@ -122,27 +139,6 @@ def test_speeds_and_courses_may_be_missing(true, missing):
         assert (f"; {told.split('_')[0]} not reported" in said) == (field in missing)
 
 
-def test_a_wild_speed_is_doubted_and_bends_nothing(true, fitted):
-    track = sampled(true)
-    speed = track.groundspeed.copy()
-    speed[20] += 60.0
-    flight, report = fit_track(dataclasses.replace(track, groundspeed=speed))
-    assert report.doubted == 1
-    assert np.abs(flight.velocity_n - fitted[0].velocity_n).max() < 2.5 * VELOCITY_SD
-
-
-def test_the_report_says_what_the_flight_does(fitted):
-    flight, report = fitted
-    trajectory = inverse_kinematics(flight)
-    load = -trajectory.specific_force_b[:, 2] / STANDARD_GRAVITY
-    speed = np.hypot(*flight.velocity_n[:, :2].T)
-    assert (report.load_min_g, report.load_max_g) == (load.min(), load.max())
-    assert (report.speed_min_mps, report.speed_max_mps) == (speed.min(), speed.max())
-    assert report.start_utc == "2024-01-01T00:00:00+00:00"
-    assert json.loads(json.dumps(report.as_dict()))["fixes"] == report.fixes == 61
-    assert f"{report.position_rms_m:.0f} m" in " ".join(report.lines())
-
-
 def test_attitude_on_a_circle_and_on_a_climb():
     speed, rate = 100.0, 0.05
     roll, pitch, yaw = coordinated_attitude(
@@ -155,7 +151,7 @@ def test_attitude_on_a_circle_and_on_a_climb():
     np.testing.assert_allclose(yaw, [0.0, math.pi / 2, math.pi], atol=1e-12)
 
 
-def test_what_no_airliner_flies_is_refused(true):
+def test_what_is_no_track_and_what_no_airliner_flies_is_refused(true, monkeypatch):
     aerobatics = Straight(20.0), Turn(720.0, bank_deg=72.0, ramp_s=4.0)
     for flight, interval, message in (
         (flown(*aerobatics, speed_mps=150.0), 1.0, r"0.3 and 2.5 g, got \d\.\d\d g .* into 'true"),
@@ -164,9 +160,6 @@ def test_what_no_airliner_flies_is_refused(true):
     ):
         with pytest.raises(ValueError, match=message):
             fit_track(sampled(flight, interval))
-
-
-def test_what_is_no_track_is_refused(true, monkeypatch):
     track = sampled(true)
     for changes, message in (
         ({"time": np.zeros(61)}, "rise from fix to fix"),

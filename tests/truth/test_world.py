@@ -1,4 +1,4 @@
-"""The truth of a run: slots, ranges, visibility, and what is refused."""
+"""The truth of a run: slots, ranges, visibility, a plain sky, and what is refused."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 
 from spoofgym.earth.wgs84 import dcm_e_from_n, ecef_to_geodetic, geodetic_to_ecef, range_and_rate
 from spoofgym.truth.flight import flight_from_velocity, inverse_kinematics
-from spoofgym.truth.run import build_world
+from spoofgym.truth.run import build_world, make_sky
 from spoofgym.truth.satellites import CircularConstellation, SatelliteStates
 
 STEP = 0.1
@@ -15,7 +15,6 @@ MASK = math.radians(10.0)
 
 
 def trajectory(duration, step):
-    """East at 100 m/s."""
     count = round(duration / step) + 1
     zero = np.zeros(count)
     velocity = np.column_stack([zero, zero + 100.0, zero])
@@ -33,7 +32,7 @@ def world():
     return build_world(EAST, CircularConstellation(), epoch_interval_s=0.5)
 
 
-def test_epochs_follow_the_samples(world):
+def test_epochs_follow_the_samples_and_local_axes_stand_at_the_true_position(world):
     assert (world.epochs, world.most_samples) == (21, 5)
     np.testing.assert_allclose(world.epoch_time, np.arange(21) * 0.5, atol=1e-12)
     np.testing.assert_array_equal(world.epoch_end, np.arange(21) * 5)
@@ -45,9 +44,14 @@ def test_epochs_follow_the_samples(world):
     assert world.run.flags.c_contiguous
     for name in ("position_e", "velocity_e", "C_eb"):
         np.testing.assert_array_equal(getattr(world, name), getattr(EAST, name)[::5])
+    C_en = world.C_en[3]
+    latitude, longitude, height = ecef_to_geodetic(world.position_e[3])
+    higher = geodetic_to_ecef(latitude, longitude, height + 100.0) - world.position_e[3]
+    np.testing.assert_allclose(C_en.T @ higher, [0.0, 0.0, -100.0], atol=1e-7)
+    np.testing.assert_allclose(C_en.T @ world.velocity_e[3], [0.0, 100.0, 0.0], atol=1e-6)
 
 
-def test_slots_hold_satellites_in_the_order_of_their_ids_and_ranges_to_them(world):
+def test_slots_hold_satellites_in_order_and_with_ranges_visible_above_the_mask(world):
     constellation = CircularConstellation()
     states, ids = constellation.states(world.epoch_time), constellation.satellite_ids
     named = [name for name in world.satellite_ids if name]
@@ -64,9 +68,6 @@ def test_slots_hold_satellites_in_the_order_of_their_ids_and_ranges_to_them(worl
             if world.visible[k, s]:
                 want = range_and_rate(p[:3], p[3:6], world.position_e[k], world.velocity_e[k])[:2]
             np.testing.assert_allclose(p[6:], want, rtol=1e-14, atol=1e-9)
-
-
-def test_a_satellite_is_visible_above_the_mask(world):
     latitude, longitude, _ = ecef_to_geodetic(world.position_e)
     east, north = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude)
     up = np.column_stack([east, north, np.sin(latitude)])
@@ -102,7 +103,7 @@ def test_azimuth_goes_from_north_by_east():
     np.testing.assert_allclose(ring.elevation[0, :8], math.atan2(0.643, 0.766), atol=1e-9)
 
 
-def test_of_more_satellites_than_channels_those_that_stay_longest_are_taken():
+def test_the_satellites_that_stay_longest_are_taken_and_rise_at_the_mask():
     crowd = CircularConstellation(satellites=99)
     few = build_world(LONG, crowd, epoch_interval_s=60.0, channels=8)
     many = build_world(LONG, crowd, epoch_interval_s=60.0, channels=32)
@@ -115,9 +116,6 @@ def test_of_more_satellites_than_channels_those_that_stay_longest_are_taken():
     for s, name in enumerate(few.satellite_ids):
         other = many.satellite_ids.index(name)
         np.testing.assert_array_equal(few.satellites[:, s], many.satellites[:, other])
-
-
-def test_the_first_elevation_of_a_rising_satellite_is_at_the_mask():
     crowd = CircularConstellation(satellites=60)
     world = build_world(LONG, crowd, epoch_interval_s=10.0, channels=32)
     at_once, seen = world.visible[0], world.visible.any(axis=0)
@@ -170,9 +168,23 @@ def test_what_cannot_be_is_refused(satellites, settings, said):
         build_world(EAST, CircularConstellation(satellites=satellites), **settings)
 
 
-def test_local_axes_stand_at_the_true_position(world):
-    C_en = world.C_en[3]
-    latitude, longitude, height = ecef_to_geodetic(world.position_e[3])
-    higher = geodetic_to_ecef(latitude, longitude, height + 100.0) - world.position_e[3]
-    np.testing.assert_allclose(C_en.T @ higher, [0.0, 0.0, -100.0], atol=1e-7)
-    np.testing.assert_allclose(C_en.T @ world.velocity_e[3], [0.0, 100.0, 0.0], atol=1e-6)
+CONSTELLATION = CircularConstellation(satellites=36)
+
+
+def test_the_vehicle_moves_along_its_heading_under_the_highest_satellites():
+    sky = make_sky(11, 2.0, 8, CONSTELLATION, speed_mps=30.0, heading_deg=90.0)
+    moved = (sky.position_e[-1] - sky.position_e[0]) @ sky.C_en
+    np.testing.assert_allclose(moved, [0.0, 600.0, 0.0], atol=1e-6)
+    velocity = np.diff(sky.position_e, axis=0) / 2.0
+    np.testing.assert_allclose(velocity, np.tile(sky.velocity_e, (10, 1)), atol=1e-6)
+    with pytest.raises(ValueError, match=r"`satellites` must be at most \d+, .* got 30"):
+        make_sky(3, 1.0, 30, CONSTELLATION)
+    sky = make_sky(3, 1.0, 5, CONSTELLATION)
+    everyone = CONSTELLATION.states(sky.time).position_e[0] - sky.position_e[0]
+    up = -(everyone @ sky.C_en[:, 2]) / np.linalg.norm(everyone, axis=1)
+    best = sorted(CONSTELLATION.satellite_ids[j] for j in np.argsort(-up)[:5])
+    assert list(sky.satellite_ids) == best
+    np.testing.assert_array_equal(
+        sky.satellite_position_e[0] - sky.position_e[0],
+        everyone[[CONSTELLATION.satellite_ids.index(name) for name in best]],
+    )

@@ -29,7 +29,6 @@ def throw(runs, seed, marks=None):
 
 
 def place(seed):
-    """Where a part runs."""
     return {"process": os.getpid(), "threads": os.environ.get("OMP_NUM_THREADS")}
 
 

@@ -7,7 +7,6 @@ from .support import Numbers, content
 
 @pytest.fixture(scope="package")
 def whole(tmp_path_factory):
-    """What a run that nothing interrupts leaves."""
     folder = tmp_path_factory.mktemp("whole")
     run_experiment(Numbers(), Store(folder))
     return content(folder)

@@ -24,7 +24,6 @@ WORDS = ("cli/bench.py", "bench/report/table.py", "testing/contract.py")
 
 @pytest.fixture
 def library(tmp_path, monkeypatch):
-    """A small library that stands for the package."""
     folder = tmp_path / "library"
     for name in ("core.py", *WORDS):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -117,7 +117,7 @@ def test_shards_are_parts_that_need_no_other(tmp_path, whole):
         assert content(store.path) == whole
 
 
-def test_connected_cells_share_a_shard_and_shards_the_work(tmp_path):
+def test_connected_cells_share_a_shard_which_is_read_from_text(tmp_path):
     cells = [Cell(f"{k}", {}, work=10.0 - k) for k in range(8)]
     cells += [Cell(f"after {k}", {}, 1.0, after=(f"{k}",)) for k in range(8)]
     sums = []
@@ -129,9 +129,6 @@ def test_connected_cells_share_a_shard_and_shards_the_work(tmp_path):
         sums.append(sum(cell.work for cell in cells if cell.key in own))
     assert sum(sums) == sum(cell.work for cell in cells)
     assert max(sums) - min(sums) <= 5.0
-
-
-def test_a_shard_is_read_from_text():
     assert [parse_shard(text) for text in ("1/2", "4/4")] == [(1, 2), (4, 4)]
     for text in ("0/4", "5/4", "1/0", "1", "a/b", "-1/4", "1/2/3", "", "1.5/2"):
         with pytest.raises(ValueError, match="shard"):
@@ -194,7 +191,6 @@ def test_a_killed_worker_is_one_line_and_the_same_command_goes_on(tmp_path, whol
 
 
 def begun(path):
-    """An experiment in processes of their own that has finished a cell."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     how = {"stderr": subprocess.PIPE, "text": True, "start_new_session": True}
     try:

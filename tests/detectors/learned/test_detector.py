@@ -151,7 +151,7 @@ def test_passive_ones_share_a_pass_and_are_asked_from_when_they_are_switched_on(
     assert describe_identity(later) != describe_identity(judges[1])
 
 
-def test_a_pool_of_the_duel_keeps_the_warm_up_of_the_card(guard, tmp_path):
+def test_older_cards_have_the_terms_and_the_warm_up_of_the_duel(guard, tmp_path):
     """Older cards say nothing, so that their detectors are not asked in the duel's warm-up."""
     old = write_guard(tmp_path / "old", "old", threshold=0.9)
     terms = [{"name": name} for name in TERMS]
@@ -161,9 +161,6 @@ def test_a_pool_of_the_duel_keeps_the_warm_up_of_the_card(guard, tmp_path):
     assert (first.judge_by.quiet, second.judge_by.quiet) == (0, view.core.setup.live)
     assert second.spec == {"name": str(old), "quiet_epochs": 6}
     assert make_detector(str(old)).detector.judge_by.quiet == 0
-
-
-def test_an_older_card_has_the_terms_of_the_duel(tmp_path):
     path = write_guard(tmp_path, terms=None, state=None, weighs=True)
     whole = LearnedDetector(str(path))
     edit_card(path, terms=..., state=..., channels=..., interval_s=..., quiet_epochs=...)
@@ -200,13 +197,17 @@ def test_a_campaign_names_it_by_content(guard, tmp_path):
     moved = shutil.copytree(tmp_path, tmp_path / "moved") / "guard.onnx"
     suite = {"spoofers": ["none"], "timeline": FAST, "runs": 4}
     one, other = (Suite(detectors=[str(each)], **suite) for each in (guard, moved))
-    assert one.config == other.config
-    assert one.digest == other.digest
+    assert (one.config, one.digest) == (other.config, other.digest)
     edit_card(moved, threshold=0.8)
     assert Suite(detectors=[str(moved)], **suite).digest != one.digest
 
 
-def test_a_shipped_name_stands_for_its_file(guard, tmp_path, monkeypatch):
+def test_a_shipped_name_stands_for_its_file_and_others_are_paths_or_refused(
+    guard, tmp_path, monkeypatch
+):
+    assert resolve_path("runs/mine.onnx").as_posix() == "runs/mine.onnx"
+    with pytest.raises(ValueError, match="unknown detector 'trolley-guard'"):
+        make_detector("trolley-guard")
     assert list_shipped("detector") == ()
     monkeypatch.setattr("spoofgym.policies.zoo.ZOO_FOLDER", tmp_path)
     assert list_shipped("detector") == ("guard",)
@@ -215,9 +216,3 @@ def test_a_shipped_name_stands_for_its_file(guard, tmp_path, monkeypatch):
     assert describe_identity(made) == describe_identity(LearnedDetector(guard))
     with pytest.raises(ValueError, match="did you mean 'guard'"):
         make_detector("gardx")
-
-
-def test_other_names_are_paths_or_refused():
-    assert resolve_path("runs/mine.onnx").as_posix() == "runs/mine.onnx"
-    with pytest.raises(ValueError, match="unknown detector 'trolley-guard'"):
-        make_detector("trolley-guard")

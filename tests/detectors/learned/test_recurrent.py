@@ -91,13 +91,12 @@ def late(model):
     tensor.CopyFrom(numpy_helper.from_array(np.float32([3.0]), "keep"))
 
 
-def test_a_state_is_tried_when_the_file_is_loaded(tmp_path):
+def test_a_network_that_grows_or_answers_otherwise_when_asked_again_is_refused(
+    tmp_path, monkeypatch
+):
     path = write_guard(tmp_path, edit=late)
     with pytest.raises(ValueError, match="the state next_hidden with a value that is not finite"):
         LearnedDetector(str(path))
-
-
-def test_a_network_that_answers_otherwise_when_asked_again_is_refused(tmp_path, monkeypatch):
     path, asked, known = write_guard(tmp_path), [], OnnxModel.step
 
     def step(self, seen, states):

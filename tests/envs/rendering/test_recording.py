@@ -68,7 +68,7 @@ def test_displacement_error_and_verdict_are_those_of_the_game():
     assert most == pytest.approx(core.score.undetected[0])
 
 
-def test_the_sky_marks_what_is_spoofed():
+def test_the_sky_marks_what_is_spoofed_and_names_lie_beside_one_another():
     world = TightlyCoupledSetup(timeline=SHORT).world
     chosen = tuple(name for name in world.satellite_ids if name)[:3]
     core = core_of(attack={"name": "false-position", "channels": chosen})
@@ -89,9 +89,6 @@ def test_the_sky_marks_what_is_spoofed():
     assert not history.layout.commands_position
     assert np.isnan(history.pair("displacement_ne")).all()
     assert history.layout.title.startswith("trolley-two-constellations: ")
-
-
-def test_names_of_satellites_lie_beside_one_another():
     middles = np.array([[-0.7, 0.0], [0.0, 0.6], [0.0, -0.6], [0.7, 0.1]])
     place = np.concatenate([middles, middles + 0.03]).T  # four pairs
 
