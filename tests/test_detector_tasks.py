@@ -105,7 +105,7 @@ def test_a_learned_detector_is_warned_of_where_it_has_met_what_is_held_out(key, 
 
 def test_cards_are_of_these_tasks_as_is_the_page_and_what_is_missing_has_its_command():
     cards, missing = detector_cards.stored_detector_cards(), detector_cards.missing()
-    assert {*cards} | {*missing} == {*v2.DETECTOR_TASKS}
+    assert {*cards} | {*missing} >= {*v2.DETECTOR_TASKS}
     assert not {*cards} & {*missing}
     assert all(key in command for key, command in missing.items())
     for key, card in cards.items():

@@ -75,11 +75,9 @@ def test_ages_and_events_are_drawn_and_the_bank_covers_the_attack(key):
 
 
 @pytest.mark.usefixtures("default_rate")  # by which detectors are labelled
-@pytest.mark.parametrize("key", v2.TASKS)
-def test_every_task_has_a_card_of_its_detector_and_its_admission(key):
-    cards = task_cards.stored_cards()
-    assert list(cards) == list(TASKS)
-    task, card = TASKS[key], cards[key]
+@pytest.mark.parametrize("key", [key for key in v2.TASKS if key in task_cards.stored_cards()])
+def test_a_card_is_of_its_task_and_detector_and_admits_it(key):
+    task, card = TASKS[key], task_cards.stored_cards()[key]
     assert card["detector"] == specify_detector(task.detector).label
     assert card["alert_limit_m"] == task.alert_limit_m
     assert {*task_cards.SCORES} <= {*card["scores_m"]}
@@ -109,7 +107,7 @@ def test_skies_are_told_apart_by_the_mean_under_the_worst_attack_of_each():
 def test_the_command_line_lists_the_tasks_and_the_page_has_the_tables_of_the_cards():
     found = {each["key"]: each for each in read("tasks", "--json")}
     assert [*found] == [*TASKS, *DETECTOR_TASKS]
-    assert all(found[key]["card"]["bracket"] for key in TASKS)
-    for key in v2.DETECTOR_TASKS:
+    for key in (*v2.TASKS, *v2.DETECTOR_TASKS):
         assert (found[key]["card"] is None) == (found[key]["play"] is not None)
     assert "spoofgym/BenchD2-v2" in call("tasks").stdout
+    assert part_between(PAGE.read_text(), START, END) == f"\n{shown()}"

@@ -89,7 +89,7 @@ def shown() -> str:
         scores=tasks.CARDS.markdown(tasks.list_score_rows(cards)),
         cards=cards,
         waiting=waiting,
-        missing=tasks.missing(),
+        missing={k: x for k, x in tasks.missing().items() if k in DETECTOR_TASKS},
         family_table=tasks.family_table,
         rank_scores=tasks.rank_scores,
     )

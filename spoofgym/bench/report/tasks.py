@@ -110,7 +110,8 @@ ADMISSION = Table(
 
 DETECTOR_FILE = "detector_cards.json"
 """Stored with this module; made by `tools.detector_cards`."""
-COMMAND = "python -m tools.detector_cards {}"
+COMMANDS = {"S": "python -m tools.task_cards {}", "D": "python -m tools.detector_cards {}"}
+"""That play the cards of tasks, by the letter of these."""
 
 
 def list_unscored(task: DetectorTask, card: dict[str, Any]) -> list[str]:
@@ -126,8 +127,9 @@ def stored_detector_cards() -> dict[str, Card]:
 
 def missing() -> dict[str, str]:
     """Tasks without a card, and the command that plays each."""
-    there = stored_detector_cards()
-    return {key: COMMAND.format(key) for key in v2.DETECTOR_TASKS if key not in there}
+    there = {**stored_cards(), **stored_detector_cards()}
+    every = (*v2.TASKS, *v2.DETECTOR_TASKS)
+    return {key: COMMANDS[key[0]].format(key) for key in every if key not in there}
 
 
 def list_tasks() -> list[Card]:
@@ -142,6 +144,7 @@ def list_tasks() -> list[Card]:
             "historical": task.historical,
             "alert_limit_m": task.alert_limit_m,
             "card": cards.get(key),
+            "play": absent.get(key),
         }
         for key, task in TASKS.items()
     ]
