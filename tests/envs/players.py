@@ -27,8 +27,10 @@ SHORT = {"warmup_s": 8.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 2.
 FEW_WORLDS = {"start_s": [0.0, 30.0], "turned_deg": [0.0, 360.0], "worlds": 2}
 PLANT = {"warmup_s": 10, "live_s": 10, "attack_s": 24, "time_to_alert_s": 5}
 DRAWN = {"timeline": SHORT, "scenario": "trolley", "domain": FEW_WORLDS}
+AGED = {**DRAWN, "decision_interval_s": 2.0, "domain": {**FEW_WORLDS, "age_s": [8.0, 16.0]}}
 SETTINGS: dict[str, dict[str, Any]] = {
     **{f"spoofgym/BenchD{k}-v1": DRAWN for k in range(1, 5)},
+    **{f"spoofgym/Bench{side}{k}-v2": AGED for side in "SD" for k in range(1, 4)},
     "spoofgym/DetectorView-v0": {"timeline": SHORT, "domain": ONE_SKY},
     "spoofgym/SpooferView-v0": {"timeline": SHORT, "domain": ONE_SKY},
     "spoofgym/BenchT4-v1": {
