@@ -74,6 +74,8 @@ class Attack(ABC):
     """
 
     one_sided: ClassVar[bool] = False
+    reports: ClassVar[tuple[str, ...]] = ()  # keys of `report`
+    channel_words: ClassVar[str] = ""  # further forms of `channels`, for messages
     control: str = setting(
         default="acceleration",
         one_of=CONTROLS,
@@ -124,11 +126,15 @@ class Attack(ABC):
     )
 
     def __post_init__(self) -> None:
+        self._check_channels()
+        self._check_options()
+
+    def _check_channels(self) -> None:
         if isinstance(self.channels, str):
             require(
                 self.channels == "all" or "*" in self.channels,
-                "`channels` must be 'all' or a pattern such as 'E*' or some satellite ids, "
-                f"got {self.channels!r}",
+                f"`channels` must be 'all'{self.channel_words} or a pattern such as 'E*' or some "
+                f"satellite ids, got {self.channels!r}",
             )
         else:
             self.channels = tuple(self.channels)
@@ -137,7 +143,6 @@ class Attack(ABC):
                 len(set(self.channels)) >= len(self.channels),
                 f"`channels` must name each satellite once, got {self.channels}",
             )
-        self._check_options()
 
     def _check_options(self) -> None:
         if isinstance(self.errors, str):
@@ -330,6 +335,11 @@ class Attack(ABC):
         commanded = Commanded(given, action is None, self.kernel_settings, *moved)
         self._displace(commanded, (epochs, world.epoch_truth, self.mask, *offsets))
         self._equipment.transmit(memory, world, self.mask, self.coherent, epochs, *offsets)
+
+    def report(self, epochs: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """What the information of a step has of the attack, by key: rows of (B, ...) arrays, at the
+        epochs (B,) that receivers are at."""
+        return {}
 
     def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:
         """What a command adds with perfect equipment; `rest`: of the arguments of the kernels, from
