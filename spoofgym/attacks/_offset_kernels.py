@@ -15,9 +15,9 @@ from ._kernels import add_displacement
 
 SATELLITES, POSITION_CLOCK, ROTATED = range(3)
 TINY = 1e-6  # shorter residuals of a unit vector have no direction
-# What moves, all (B, a) [m], [m/s]: amplitudes, their rates, what actions requested without limits.
+# What moves (B, a) [m], [m/s]: amplitudes, their rates, what actions requested, without limits.
 Moved = namedtuple("Moved", "displacement rate requested")
-# `basis` by number, `by_offset`, limits of rate and acceleration, coherence, scales (a,) of actions.
+# `basis` by number, `by_offset`, limits of rate and acceleration, coherence, scales (a,) of 1.
 Rules = namedtuple("Rules", "basis by_offset rate_limit acceleration_limit coherent scales")
 # (B, n) captured channels, `orders`, `bases`, and (B, n) residual offsets of the epoch before [m].
 Capturing = namedtuple("Capturing", "taken orders bases residual")

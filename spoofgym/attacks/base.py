@@ -208,6 +208,10 @@ class Attack(ABC):
             return self.acceleration_limit_mps2
         return self.rate_limit_mps
 
+    def unit_rates(self, world: GroundTruth) -> FloatArray:
+        """(a,) rates that an action of 1 comes to, while acceleration does not limit it [m/s]."""
+        return np.full(len(self.action_names(world)), float(self.rate_limit_mps))
+
     @property
     def kernel_settings(self) -> FloatArray:
         """(4,) whether rates are commanded, scale of an action, limit of the rate, coherence."""

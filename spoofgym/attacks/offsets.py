@@ -159,8 +159,7 @@ class Offsets(Attack):
     def action_names(self, world: GroundTruth) -> tuple[str, ...]:
         return tuple(f"{name}_{self.control}" for name in self.axis_names(world))
 
-    def rate_scales(self, world: GroundTruth) -> FloatArray:
-        """(a,) rates that an action of 1 requests [m/s]."""
+    def unit_rates(self, world: GroundTruth) -> FloatArray:
         position, clock, residual = self.scales_mps
         axes = len(self.axis_names(world))
         if self.basis == "satellites":
@@ -169,7 +168,7 @@ class Offsets(Attack):
 
     def action_scales(self, world: GroundTruth) -> FloatArray:
         """(a,) what an action of 1 requests [m/s], or [m] with ``control="offset"``."""
-        return self.rate_scales(world) * (self.span_s if self.control == "offset" else 1.0)
+        return self.unit_rates(world) * (self.span_s if self.control == "offset" else 1.0)
 
     @property
     def unit_scale(self) -> float:
