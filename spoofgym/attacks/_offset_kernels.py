@@ -94,15 +94,16 @@ def find_live(basis, order, taken, satellites, axes, live):
 def follow(action, hold, tau, rules, live, displacement, rate, requested):
     r"""Move the amplitudes of one receiver to the end of an interval, in place.
 
-    A wanted rate is an action times its scale.  A wanted offset :math:`D^*` gives it by the
-    difference over the interval, and a braking law for the distance e that limits have left,
+    A wanted rate w is an action times its scale.  A wanted offset :math:`D^*` gives it by the
+    difference over the interval, and a braking law for the distance e that limits have left: the
+    largest rate from which n intervals of the largest deceleration a come to rest there,
 
     .. math:: w = \frac{D^* - D^*_-}{\tau} + \frac{e}{|e|}
-        \min\left(\frac{|e|}{\tau},
-        \sqrt{\tfrac14 a^2 \tau^2 + 2 a |e|} - \tfrac12 a \tau\right), \qquad e = D^*_- - D
+        \left(\frac{|e|}{n \tau} + \frac{n - 1}{2} a \tau\right), \qquad
+        n = \left\lceil \tfrac12 \sqrt{1 + \frac{8 |e|}{a \tau^2}} - \tfrac12 \right\rceil
 
-    The whole vector w is shortened to the limit of the rate, then its change to that of the
-    acceleration a, and :math:`D^+ = D + v^+ \tau`.
+    with :math:`e = D^*_- - D`.  The whole vector w is shortened to the limit of the rate, then its
+    change to that of the acceleration, and :math:`D^+ = D + v^+ \tau`.
     """
     count = displacement.shape[0]
     if hold:
@@ -125,10 +126,10 @@ def follow(action, hold, tau, rules, live, displacement, rate, requested):
     if rules.by_offset:
         left = measure_size(change, rules.basis)
         if left > 0.0:
-            ahead = 2.0 * rules.acceleration_limit * left
-            brake = math.sqrt(0.25 * step * step + ahead) - 0.5 * step
+            n = math.ceil(0.5 * math.sqrt(1.0 + 8.0 * left / (step * tau)) - 0.5)
+            n = max(n, 1.0)
             for i in range(count):
-                wanted[i] += change[i] * min(1.0 / tau, brake / left)
+                wanted[i] += change[i] * (1.0 / (n * tau) + 0.5 * (n - 1.0) * step / left)
     size = measure_size(wanted, rules.basis)
     shorter = rules.rate_limit / size if size > rules.rate_limit else 1.0
     for i in range(count):

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..attacks import Attack, AttackContext, Offsets, as_offsets, make_attack
+from ..attacks import Attack, AttackContext, as_offsets, make_attack
 from ..attacks.commands import FalsePosition, PerChannel
 from ..core.memory import Memory
 from ..core.registry import build_record, check_choice, require
