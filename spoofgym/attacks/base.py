@@ -341,8 +341,18 @@ class Attack(ABC):
         self._equipment.transmit(memory, world, self.mask, self.coherent, epochs, *offsets)
 
     def report(self, epochs: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """What the information of a step has of the attack, by key: rows of (B, ...) arrays, at the
-        epochs (B,) that receivers are at."""
+        """What the information of a step has of the attack.
+
+        Parameters
+        ----------
+        epochs : ndarray
+            (B,) the epoch that each receiver is at.
+
+        Returns
+        -------
+        dict
+            Arrays (B, ...) by `reports`.
+        """
         return {}
 
     def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:

@@ -287,8 +287,31 @@ class Offsets(Attack):
 
 
 def as_offsets(attack: Attack, **chosen: Any) -> Offsets:
-    """The same limits, equipment and channels, commanded by offsets; a ValueError for a meaconer,
-    which has no freedom by satellite."""
+    """An attack by offsets with the limits, equipment and channels of another one.
+
+    Parameters
+    ----------
+    attack : Attack
+        A false position, offsets per channel, or offsets already, whose settings stay.
+    **chosen : object
+        Settings of `Offsets` that replace them.
+
+    Returns
+    -------
+    Offsets
+        Not bound yet.
+
+    Raises
+    ------
+    ValueError
+        For a meaconer, which has no freedom by satellite.
+
+    Examples
+    --------
+    >>> from spoofgym.attacks import as_offsets, make_attack
+    >>> as_offsets(make_attack("tracking-1m"), basis="rotated", channels="5 of 8").label
+    'offsets-partial-tracking'
+    """
     require(
         not attack.one_sided,
         f"`control` and `basis` need an attack that offsets single satellites, got {attack.kind!r}",

@@ -202,7 +202,7 @@ def _commanded(
 ) -> Attack:
     """The attack by offsets where a control or a basis of them is chosen; on some channels."""
     given = {"control": control, "basis": basis, "channels": channels}
-    chosen = {name: value for name, value in given.items() if value is not None}
+    chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     if {"control", "basis"} & {*chosen}:
         return as_offsets(attack, **chosen)
     return replace(attack, threat="", **chosen) if chosen else attack

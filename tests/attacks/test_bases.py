@@ -218,7 +218,7 @@ def test_another_attack_is_commanded_by_offsets():
         ({"channels": "5 of 9"}, "'5 of 9' does not fit .*, which has 8 .* '5 of 8', '5 highest'"),
         ({"channels": "9 drawn"}, "'9 drawn' does not fit .* has 8 satellites"),
         ({"channels": ["S05", "S31"]}, "'S31' is not in view .*: S05, S06"),
-        ({"basis": "rotatd"}, "`basis` must be 'satellites', .* did you mean 'rotated'"),
+        ({"basis": "rotatde"}, "`basis` must be 'satellites', .* did you mean 'rotated'"),
         ({"control": "acceleration"}, "`control` must be 'rate' or 'offset', got 'acceleration'"),
         ({"scales_mps": (1.0, 0.25)}, "must be three numbers: position, clock, residual"),
         ({"scales_mps": (1.0, 0.0, 0.1)}, "numbers above 0"),
