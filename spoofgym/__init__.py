@@ -61,7 +61,8 @@ the sensors.  Prefixes say whose value it is: `true_`, `estimated_`, `counterfei
 
 Importing the package registers, for `gymnasium.make` and `gymnasium.make_vec`,
 ``spoofgym/TightlyCoupled-v0``, ``spoofgym/RandomStart-v0``, the same with attacks that start at a
-random time in a random direction, and the small environments ``spoofgym/LooselyCoupled-v0``,
+random time in a random direction, ``spoofgym/Offsets-v0``, the same with an action for every
+satellite, and the small environments ``spoofgym/LooselyCoupled-v0``,
 ``spoofgym/Snapshot-v0`` and ``spoofgym/WheeledRobot-v0``.  The duel of a spoofer and a detector is
 `spoofgym.duel_v0`, for PettingZoo; one side of it against frozen opponents is
 ``spoofgym/SpooferView-v0`` or ``spoofgym/DetectorView-v0``.
@@ -91,6 +92,18 @@ register(
     entry_point="spoofgym.envs:SpoofEnv",
     vector_entry_point="spoofgym.envs:SpoofVectorEnv",
     kwargs={"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"},
+)
+
+register(
+    id="spoofgym/Offsets-v0",
+    entry_point="spoofgym.envs:SpoofEnv",
+    vector_entry_point="spoofgym.envs:SpoofVectorEnv",
+    kwargs={
+        "control": "rate",
+        "basis": "satellites",
+        "decision_interval_s": 10.0,
+        "between": "linear",
+    },
 )
 
 register(

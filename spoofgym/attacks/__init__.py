@@ -9,6 +9,7 @@ from ..core.registry import build, check_choice
 from .base import Attack, AttackContext
 from .commands import FalsePosition, Meaconer, PerChannel
 from .equipment import Capture, CounterfeitErrors, SpooferClock, TrackingError
+from .offsets import Offsets, as_offsets
 from .threats import THREATS
 
 __all__ = [
@@ -20,9 +21,11 @@ __all__ = [
     "CounterfeitErrors",
     "FalsePosition",
     "Meaconer",
+    "Offsets",
     "PerChannel",
     "SpooferClock",
     "TrackingError",
+    "as_offsets",
     "make_attack",
 ]
 
@@ -30,6 +33,7 @@ ATTACKS: dict[str, type[Attack]] = {
     "false-position": FalsePosition,
     "per-channel": PerChannel,
     "meaconer": Meaconer,
+    "offsets": Offsets,
 }
 """Attacks by name."""
 

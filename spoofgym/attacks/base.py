@@ -80,6 +80,8 @@ class Attack(ABC):
     one_sided: ClassVar[bool] = False
     limits_size: ClassVar[bool] = False
     takes_tracking: ClassVar[bool] = True
+    reports: ClassVar[tuple[str, ...]] = ()  # keys of `report`
+    channel_words: ClassVar[str] = ""  # further forms of `channels`, for messages
     control: str = setting(
         default="acceleration",
         one_of=CONTROLS,
@@ -134,11 +136,15 @@ class Attack(ABC):
             self.takes_tracking or self.tracking is None,
             f"`tracking` must be None, since a {self.kind} needs no position; got {self.tracking}",
         )
+        self._check_channels()
+        self._check_options()
+
+    def _check_channels(self) -> None:
         if isinstance(self.channels, str):
             require(
                 self.channels == "all" or "*" in self.channels,
-                "`channels` must be 'all' or a pattern such as 'E*' or some satellite ids, "
-                f"got {self.channels!r}",
+                f"`channels` must be 'all'{self.channel_words} or a pattern such as 'E*' or some "
+                f"satellite ids, got {self.channels!r}",
             )
         else:
             self.channels = tuple(self.channels)
@@ -147,7 +153,6 @@ class Attack(ABC):
                 len(set(self.channels)) >= len(self.channels),
                 f"`channels` must name each satellite once, got {self.channels}",
             )
-        self._check_options()
 
     def _check_options(self) -> None:
         if isinstance(self.errors, str):
@@ -217,6 +222,10 @@ class Attack(ABC):
         if self.control == "acceleration":
             return self.acceleration_limit_mps2
         return self.rate_limit_mps
+
+    def unit_rates(self, world: GroundTruth) -> FloatArray:
+        """(a,) rates that an action of 1 comes to, while acceleration does not limit it [m/s]."""
+        return np.full(len(self.action_names(world)), float(self.rate_limit_mps))
 
     @property
     def kernel_settings(self) -> FloatArray:
@@ -345,6 +354,21 @@ class Attack(ABC):
         commanded = Commanded(given, action is None, self.kernel_settings, *moved)
         self._displace(commanded, (epochs, world.epoch_truth, self.mask, *offsets))
         self._equipment.transmit(memory, world, self.mask, self.coherent, epochs, *offsets)
+
+    def report(self, epochs: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """What the information of a step has of the attack.
+
+        Parameters
+        ----------
+        epochs : ndarray
+            (B,) the epoch that each receiver is at.
+
+        Returns
+        -------
+        dict
+            Arrays (B, ...) by `reports`.
+        """
+        return {}
 
     def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:
         """What a command adds with perfect equipment; `rest`: of the arguments of the kernels, from

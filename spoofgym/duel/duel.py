@@ -209,7 +209,7 @@ class Duel:
     def _select_commands(self) -> FloatArray:
         """Commands as the attack takes them: holding the rate where all have been given."""
         action = self.core.command(self._decisions.action(self.score.step_count))
-        by_rate = self.setup.attack.control == "rate"
+        by_rate = self.setup.attack.control != "acceleration"
         held = self._command if by_rate else np.zeros_like(self._command)
         command = np.where(self.holding[:, None], held, action)
         return np.where(self._started[:, None], command, 0.0)

@@ -4,6 +4,7 @@ from ..simulation import Domain, Engine, Setup, TightlyCoupledSetup, Timeline
 from .core import SpoofCore
 from .factory import VICTIMS
 from .observer import Observer
+from .offsets import offsets_action
 from .spoofer_binding import attach
 from .terms import TERMS, make_terms
 from .terms.observation import default_terms
@@ -24,4 +25,5 @@ __all__ = [
     "attach",
     "default_terms",
     "make_terms",
+    "offsets_action",
 ]

@@ -172,6 +172,7 @@ class SpoofCore:
         passive = self.settings["watch"]
         self._passive = PassiveInfo(PassiveDetectors(passive), receivers) if passive else None
         self.reset_names: tuple[str, ...] = ("time_s", "warmup_alarm", "coasting")
+        self.reset_names += setup.attack.reports
         if self._passive is not None:
             monitors.append(self._passive.monitor)
             self.reset_names += self._passive.reset_names
@@ -210,6 +211,7 @@ class SpoofCore:
         rewards = [key for key, _ in self._reward_parts]
         passive = self._passive.step_names if self._passive else ()
         captured = () if self.setup.attack.capture is None else ("captured_channels",)
+        captured += self.setup.attack.reports
         twin = () if self.engine.twin is None else ("twin_alarm",)
         return (
             *VALUE_NAMES,
@@ -238,7 +240,7 @@ class SpoofCore:
         )
         self._sequel = ScoredStep(self._fused, self._origin, self.engine.hold)
         self._scratch = StepResult(self._fused.layout)
-        captures = self.setup.attack.capture is not None
+        captures = bool(self.setup.attack.capture is not None or self.setup.attack.reports)
         twins = self.engine.twin is not None
         self._reports_more = captures or twins or self._passive is not None
         self._needs_arrays = (
@@ -307,6 +309,8 @@ class SpoofCore:
         if self._reports_more:
             if self.setup.attack.capture is not None:
                 result.extra["captured_channels"] = self.engine.simulator.captured_channels()
+            if self.setup.attack.reports:
+                result.extra.update(self.engine.simulator.report_attack())
             if self._passive is not None:
                 result.extra.update(self._passive.step_info(self._passive_memory))
         return result, observation
@@ -407,6 +411,7 @@ class SpoofCore:
             "time_s": engine.simulator.time_s(),
             "warmup_alarm": engine.warmup_alarm.copy(),
             "coasting": engine.simulator.coasting.copy(),
+            **(engine.simulator.report_attack() if self.setup.attack.reports else {}),
             **(self._passive.reset_info() if self._passive else {}),
         }
 

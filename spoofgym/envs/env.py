@@ -37,7 +37,7 @@ from .options import (
     whole_reset,
 )
 from .rendering import RENDER_MODES, CoreRecorder, Screen
-from .scoring import PlainResult, StepResult
+from .scoring import PlainResult, StepResult, first_row
 
 Observation = NDArray[np.float32]
 C = TypeVar("C", bound=Core)
@@ -116,7 +116,7 @@ class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
         with whole_reset(self):
             self.core.reset([self.np_random], given=domain_option(options))
         self._stopped = None
-        info = {name: array.item() for name, array in self.core.reset_info().items()}
+        info = {name: first_row(array) for name, array in self.core.reset_info().items()}
         if self._screen is not None:
             self._screen.start_episode(info)
         return self.core.observe()[0], info
@@ -358,4 +358,5 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
 def _where(mask: NDArray[np.bool_], array: Array, other: Array | None = None) -> Array:
     """Elements of an array, and those of another, or zeros, elsewhere; of the same type."""
     nothing = np.zeros((), array.dtype)  # a plain 0 would make numbers of truth values
-    return np.where(mask, array, nothing if other is None else other)
+    rows = mask.reshape(-1, *[1] * (array.ndim - 1))
+    return np.where(rows, array, nothing if other is None else other)

@@ -128,9 +128,10 @@ def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) 
     if not within(array, 1.0 + TOLERANCE):
         where = tuple(np.argwhere(~(np.abs(array) <= 1.0 + TOLERANCE))[0])
         whose = f" of receiver {where[0]}" if array.ndim == 2 else ""
+        metres = "; `spoofgym.envs.offsets_action` makes actions of metres"
         raise ValueError(
             f"an action must be finite and in [-1, 1]; {names[where[-1]]!r}{whose} is "
-            f"{array[where]}"
+            f"{array[where]}{metres if names[where[-1]].endswith('_offset') else ''}"
         )
     return array
 

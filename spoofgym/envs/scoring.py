@@ -43,6 +43,11 @@ class InfoLayout:
         self.blank[: MARKS * receivers] = False
 
 
+def first_row(array: NDArray[Any]) -> Any:
+    """What an array (B, ...) has of the first receiver; a number where it has one of each."""
+    return array[0] if array.ndim > 1 else array[0].item()
+
+
 class PlainResult(NamedTuple):
     """Rewards and ends (B,), and information by key, of a step; `extra` is None."""
 
@@ -131,7 +136,7 @@ class StepResult:
         row = values[: _kernels.GAIN] + marks[: len(MARK_NAMES)]
         info: dict[str, Any] = dict(zip(self._layout.names, row))  # noqa: B905  (costs 1 us)
         if self.extra:
-            info.update([(name, array.item()) for name, array in self.extra.items()])
+            info.update([(name, first_row(array)) for name, array in self.extra.items()])
         return (
             values[_kernels.REWARD],
             marks[_kernels.TERMINATED],

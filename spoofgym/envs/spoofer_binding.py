@@ -234,7 +234,11 @@ def spoofer_context(
         rate_limit_mps=float(attack.rate_limit_mps),
         action_names=setup.action_names if commands is None else commands.names,
     )
-    if setpoint is not None:
+    if attack.kind == "offsets":
+        by_rate = attack.control == "rate"
+        unit = {"control": "setpoint", "setpoint_mps": attack.unit_scale}
+        context = context._replace(**unit if by_rate else {})
+    elif setpoint is not None:
         # an attack by rate takes the set-point at once: it is the unit of its rates
         changed = {"control": "setpoint", "setpoint_mps": setpoint}
         by_rate = attack.control == "rate"

@@ -21,12 +21,14 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     filter's position to go astray without an alarm.  All is simulated at measurement level.
 
     **Action.** `Box(-1, 1, (1,), float32)`: the wanted rate of the counterfeit displacement along
-    the target direction; 1 is 1 m/s.  The acceleration follows within the attack's limits, first
-    that of the acceleration (0.05 m/s^2 by default), then that of the rate (5 m/s).  Where
-    `target_heading_deg` is ``"worst"`` it is the rate north and east.  An attack that commands
+    the target direction; 1 is 1 m/s. The acceleration follows within the attack's limits, first
+    that of the acceleration (0.05 m/s^2 by default), then that of the rate (5 m/s). Where
+    `target_heading_deg` is ``"worst"`` it is the rate north and east. An attack that commands
     something else, such as one per channel, takes one element for every channel or axis: 1 is its
-    limit of acceleration or of rate.  That form, and others, can be had by their names, such as
-    ``action="full-command"``.  ``env.unwrapped.action_names`` names the elements.
+    limit of acceleration or of rate. With `control` or `basis` it takes one element for every
+    satellite, or axis of the basis: the rate of its pseudorange offset, or the offset. That form,
+    and others, can be had by their names, such as ``action="full-command"``.
+    ``env.unwrapped.action_names`` names the elements.
 
     **Observation.** `Box` of float32 with finite bounds; every element is divided by a scale and
     clipped.  ``env.unwrapped.observation_names`` names them.  `knowledge` decides which there are:
@@ -260,6 +262,14 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     imu_rate_hz : float, optional
         Samples of the inertial sensors per second, such as 50, 20 or 10: fewer make a step cheaper;
         those of the scenario by default.  See `Scenario`.
+    control : {"rate", "offset"}, optional
+        Command pseudorange offsets, by their rates or as they are; see
+        `spoofgym.attacks.Offsets`.
+    basis : {"satellites", "position+clock", "rotated"}, optional
+        Axes of these offsets, ``"satellites"`` by default.
+    channels : str or sequence of str, optional
+        Satellites that are captured, those of the attack by default: ids, a pattern, and with
+        offsets ``"5 of 8"``, ``"5 highest"``, ``"5 lowest"`` or ``"5 drawn"``.
     twin : bool
         Whether a clean twin of the victim runs, too: displacement is then the distance from it
         instead of the error less that at the onset, and an alarm costs nothing once the twin has
@@ -296,7 +306,8 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     Ids: ``spoofgym/TightlyCoupled-v0``, ``spoofgym/LooselyCoupled-v0``, ``spoofgym/Snapshot-v0``
     and ``spoofgym/WheeledRobot-v0``, by victim; ``spoofgym/RandomStart-v0`` is the first with a
     receiver that is switched on at a random time of the flight, and a target direction that is
-    drawn for every episode, and observed.  Version history: v0, the first.
+    drawn for every episode, and observed; ``spoofgym/Offsets-v0`` is the first with offsets of all
+    satellites for an action, by rates, every 10 s.  Version history: v0, the first.
     """
 
     def __init__(

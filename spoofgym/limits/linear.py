@@ -230,6 +230,7 @@ def white(innovation_cov: FloatArray, rows: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(innovation_cov), rows))
 
 
+TINY_S = 1e-3  # a commanded rate is reached in this time
 SMALL = 0.1
 """Part of the limit of the rate of a unit command."""
 LINEAR_TO = 0.02
@@ -297,7 +298,7 @@ def bare(attack: Attack, decision_s: float) -> Attack:
     Errors of tracking, of the spoofer's clock, and others than the authentic ones only add
     divergence from clean measurements, whatever the commands are."""
     perfect: Any = {"tracking": None, "spoofer_clock": None, "errors": "inherited"}
-    quick = attack.rate_limit_mps / decision_s
+    quick = attack.rate_limit_mps / (decision_s if attack.control == "acceleration" else TINY_S)
     return replace(attack, acceleration_limit_mps2=quick, **perfect)
 
 
@@ -324,8 +325,9 @@ def unit_commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
     tried = np.concatenate([size, np.zeros((1, decisions, axes)), _some(decisions, axes)])
     found = _offsets(setup, attack, onset, tried)
     idle = found[:, :, count]
-    offsets = (found[:, :, :count] - idle[:, :, None]) / (SMALL * attack.rate_limit_mps)
-    _check_linear(attack, offsets, idle, found[:, :, count + 1 :], tried[count + 1 :])
+    unit = attack.unit_rates(setup.world)
+    offsets = (found[:, :, :count] - idle[:, :, None]) / (SMALL * np.tile(unit, decisions))
+    _check_linear(attack, unit, offsets, idle, found[:, :, count + 1 :], tried[count + 1 :])
     names = attack.action_names(setup.world)
     places = {"north": (1.0, 0.0), "east": (0.0, 1.0), "down": (0.0, 0.0)}
     words = [name.rsplit("_", 1)[0] for name in names]
@@ -336,7 +338,9 @@ def unit_commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
         axes,
         heading,
         attack.rate_limit_mps,
-        math.inf if by_rate else setup.attack.acceleration_limit_mps2 * decision_s,
+        math.inf
+        if by_rate and attack.kind != "offsets"
+        else setup.attack.acceleration_limit_mps2 * decision_s,
     )
 
 
@@ -378,9 +382,14 @@ def _offsets(
 
 
 def _check_linear(
-    attack: Attack, offsets: FloatArray, idle: FloatArray, found: FloatArray, tried: FloatArray
+    attack: Attack,
+    unit: FloatArray,
+    offsets: FloatArray,
+    idle: FloatArray,
+    found: FloatArray,
+    tried: FloatArray,
 ) -> None:
-    commands = tried.reshape(len(tried), -1).T * attack.rate_limit_mps
+    commands = (tried * unit).reshape(len(tried), -1).T
     expected = offsets @ commands + idle[:, :, None]
     n = offsets.shape[1] // 2
     for rows in (slice(0, n), slice(n, None)):

@@ -157,7 +157,7 @@ class AttackConditions(Record):
 
     interval_s: PositiveFloat
     steps: PositiveInt
-    control: Literal["rate", "acceleration", "setpoint"]
+    control: Literal["rate", "acceleration", "setpoint", "offset"]
     acceleration_limit_mps2: PositiveFloat | None
     rate_limit_mps: PositiveFloat
     setpoint_mps: PositiveFloat | None = None

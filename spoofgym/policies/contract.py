@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -51,12 +51,16 @@ class NotFinite(ValueError):
     """A policy returned NaN or an infinite action."""
 
 
-def clip_action(action: Any, receivers: int, size: int, policy: str) -> FloatArray:
-    """Action of a policy, (B, a) float64, cut to [-1, 1]; `policy` names it in errors."""
+def clip_action(
+    action: Any, receivers: int, size: int, policy: str, names: Sequence[str] = ()
+) -> FloatArray:
+    """Action of a policy, (B, a) float64, cut to [-1, 1]; `policy` names it, and `names` its
+    elements, in errors."""
     array = np.array(action, dtype=np.float64, order="C")
     if array.shape != (receivers, size):
         raise ValueError(
             f"{policy} returned actions of shape {array.shape}, not {(receivers, size)}"
+            + (f" ({', '.join(names)})" if names else "")
         )
     finite = np.isfinite(array)
     if not finite.all():

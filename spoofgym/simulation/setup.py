@@ -99,6 +99,7 @@ class RateCommands:
     limits: tuple[float, ...]
     control: ClassVar[str] = "rate"
     capture: ClassVar[None] = None
+    reports: ClassVar[tuple[str, ...]] = ()
     acceleration_limit_mps2: ClassVar[float] = math.inf
 
     @property
@@ -150,7 +151,7 @@ class Setup(ABC):
     of_attack: ClassVar[frozenset[str]] = frozenset(  # settings that a clean run does not depend on
         {
             *("detector", "attack", "target_heading_deg", "rate_limit_mps"),
-            *("decision_interval_s", "between"),
+            *("decision_interval_s", "between", "control", "basis", "channels"),
         }
     )
     raw_settings: Mapping[str, Any] | None = None  # settings as they were given

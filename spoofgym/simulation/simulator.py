@@ -226,6 +226,10 @@ class Simulator(ABC):
     def geometry(self, out: NDArray[np.float32]) -> None:
         raise TypeError(f"{self.setup.whose} has no satellites")
 
+    def report_attack(self) -> dict[str, NDArray[Any]]:
+        """What the attack reports of itself, (B, ...) by key."""
+        return {}
+
     def captured_channels(self) -> NDArray[np.int64]:
         raise TypeError(f"the channels of {self.setup.whose} are not captured one by one")
 

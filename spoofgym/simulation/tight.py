@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..attacks import Attack, AttackContext, make_attack
+from ..attacks import Attack, AttackContext, as_offsets, make_attack
 from ..attacks.commands import FalsePosition, PerChannel
 from ..core.memory import Memory
 from ..core.registry import build_record, check_choice, require
@@ -93,6 +93,9 @@ class TightlyCoupledSetup(Setup):
         decision_interval_s: float | None = None,
         between: str = "hold",
         imu_rate_hz: float | None = None,
+        control: str | None = None,
+        basis: str | None = None,
+        channels: str | Sequence[str] | None = None,
     ) -> None:
         self.scenario = make_scenario(scenario)
         if imu_rate_hz is not None:
@@ -100,7 +103,7 @@ class TightlyCoupledSetup(Setup):
         self.imu_rate_hz, self.name = self.scenario.imu_rate_hz, self.scenario.label
         self._aim(target_heading_deg, domain)
         self.receiver = _victim(receiver, self.scenario, self.domain)
-        self.attack = make_attack(attack)
+        self.attack = _commanded(make_attack(attack), control, basis, channels)
         interval_s = self.scenario.epoch_interval_s
         self._phase(detector, timeline, interval_s, decision_interval_s, between)
         self.world, worlds = build_worlds(self.scenario, self.domain)
@@ -192,6 +195,17 @@ class TightlyCoupledSetup(Setup):
                 f"a first fix needs {FIRST_FIX} satellites; world {world} of the domain has fewer "
                 f"at {self.world.epoch_time[bounds.first + epoch]:g} s"
             )
+
+
+def _commanded(
+    attack: Attack, control: str | None, basis: str | None, channels: str | Sequence[str] | None
+) -> Attack:
+    """The attack by offsets where a control or a basis of them is chosen; on some channels."""
+    given = {"control": control, "basis": basis, "channels": channels}
+    chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    if {"control", "basis"} & {*chosen}:
+        return as_offsets(attack, **chosen)
+    return replace(attack, threat="", **chosen) if chosen else attack
 
 
 def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
@@ -636,6 +650,9 @@ class TightlyCoupledSimulator(Simulator):
         if self.augmented is not None and other.augmented is not None:
             self.augmented.copy_rows(to, other.augmented, rows)
         super().copy_rows(to, other, rows)
+
+    def report_attack(self) -> dict[str, NDArray[Any]]:
+        return self.attack.report(self.sensors.epoch)
 
     def captured_channels(self) -> NDArray[np.int64]:
         return np.asarray(self.attack.memory["captured"].sum(axis=1))

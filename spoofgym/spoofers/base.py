@@ -41,9 +41,9 @@ class SpooferContext(NamedTuple):
         Time between commands.
     steps : int
         Commands of an episode.
-    control : {"rate", "acceleration", "setpoint"}
-        What an action of 1 commands: the limit of the rate or of the acceleration, or a wanted rate
-        that the acceleration follows.
+    control : {"rate", "acceleration", "setpoint", "offset"}
+        What an action of 1 commands: the limit of the rate or of the acceleration, a wanted rate
+        that the acceleration follows, or an offset.
     acceleration_limit_mps2, rate_limit_mps : float
         Of the attack; with control by rate the first one does not bind.
     action_names : tuple of str
@@ -138,7 +138,8 @@ def list_axes(action_names: tuple[str, ...]) -> list[str]:
 
 
 def has_heading(action_names: tuple[str, ...]) -> bool:
-    return set(list_axes(action_names)) <= set(AXES)
+    """Whether the axes are those of a false position, besides residuals that it leaves alone."""
+    return {a for a in list_axes(action_names) if not a.startswith("residual")} <= set(AXES)
 
 
 def direction(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
@@ -156,7 +157,7 @@ def direction(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
                 f"`heading_deg` = {heading_deg:g} needs a command to the {name}, but the attack "
                 f"commands {', '.join(action_names)}"
             )
-    return np.array([wanted[name] for name in axes])
+    return np.array([wanted.get(name, 0.0) for name in axes])
 
 
 class HeadingCommand:
@@ -167,6 +168,7 @@ class HeadingCommand:
         self, context: SpooferContext, heading_deg: float | str, turned_deg: float = 0.0
     ) -> None:
         names = context.action_names
+        _check_offsets(context)
         self._columns: list[int] = []
         self._size, self._turned = len(names), math.radians(turned_deg)
         if isinstance(heading_deg, str) and has_heading(names):
@@ -193,6 +195,20 @@ class HeadingCommand:
         command[:, self._places[0]] = cosine * north - sine * east
         command[:, self._places[1]] = sine * north + cosine * east
         return np.clip(command, -1.0, 1.0)
+
+
+def _check_offsets(context: SpooferContext) -> None:
+    """A script of rates along a heading needs rates, and a basis that has a heading."""
+    names = context.action_names
+    if context.control == "offset":
+        raise ValueError(
+            "a scripted spoofer commands rates: it needs `control` 'rate', got 'offset'"
+        )
+    if context.control == "setpoint" and names[0].startswith("slot"):
+        raise ValueError(
+            "a scripted spoofer pushes along a heading: it needs the `basis` 'position+clock' or "
+            f"'rotated', got 'satellites' with {', '.join(names)}"
+        )
 
 
 def _columns(context: SpooferContext) -> list[int]:

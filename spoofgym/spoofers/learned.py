@@ -105,8 +105,9 @@ class ModelPolicy(Spoofer):
         super().bind(context)
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        size = len(self.context.action_names)
-        return clip_action(self._function(observation), len(observation), size, str(self.label))
+        names = self.context.action_names
+        given = self._function(observation), len(observation), len(names)
+        return clip_action(*given, str(self.label), names)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         twin = object.__new__(type(self))

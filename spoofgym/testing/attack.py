@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..attacks import Attack, AttackContext, make_attack
+from ..attacks import Attack, AttackContext, Offsets, make_attack
 from ..truth.run import GroundTruth
 from ..truth.scenario import Scenario
 from .contract import (
@@ -256,7 +256,7 @@ def _check_motion(
 ) -> None:
     displacement = np.zeros_like(steps[0].displacement)
     rate = np.zeros_like(displacement)
-    by_rate = attack.control == "rate"
+    by_rate = attack.control != "acceleration"
     for step, action in zip(steps, actions, strict=True):
         tau = step.interval[:, None]
         require_contract(
@@ -283,6 +283,8 @@ def _check_motion(
 
 def _size(attack: Attack, vector: FloatArray) -> float:
     """Largest size of a vector, or of an element, whichever the limits apply to."""
+    if isinstance(attack, Offsets):
+        return float(max(map(attack.measure_size, vector)))
     if attack.limits_size:
         return float(np.linalg.norm(vector, axis=-1).max())
     return float(np.abs(vector).max())
@@ -290,7 +292,8 @@ def _size(attack: Attack, vector: FloatArray) -> float:
 
 def _check_limits(attack: Attack, world: GroundTruth, axes: int) -> None:
     acceleration, limit = attack.acceleration_limit_mps2, attack.rate_limit_mps
-    by_rate, start = attack.control == "rate", np.array([ONSET])
+    by_rate, start = attack.control != "acceleration", np.array([ONSET])
+    follows = isinstance(attack, Offsets)
     sign = np.where(np.arange(axes) % 2 == 0, 1.0, -1.0)[None, :]
     epochs = min(world.epochs - ONSET - 2, 400)
     for size in (1.0, 3.0):
@@ -304,20 +307,29 @@ def _check_limits(attack: Attack, world: GroundTruth, axes: int) -> None:
             )
             change = _size(attack, step.rate - rate) / float(step.interval[0])
             require_contract(
-                by_rate or change <= acceleration * (1.0 + ROUNDING),
+                (by_rate and not follows) or change <= acceleration * (1.0 + ROUNDING),
                 f"the rate must not change by more than `acceleration_limit_mps2` = "
                 f"{acceleration:g}, got {change:g} m/s^2 after actions of {size:g}",
             )
             rate = step.rate
     # well below the limits an action is obeyed to the letter
     action = (0.3 if attack.one_sided else -0.3) / np.sqrt(axes) * sign
-    step = _AttackTrial(attack, world, [action], start).steps()[0]
-    want = attack.unit_scale * action * (1.0 if by_rate else step.interval[0])
+    step = _AttackTrial(_at_once(attack), world, [action], start).steps()[0]
+    unit = attack.action_scales(world) if isinstance(attack, Offsets) else attack.unit_scale
+    per = {"rate": 1.0, "acceleration": step.interval[0], "offset": 1.0 / step.interval[0]}
+    want = unit * action * per[attack.control]
     require_contract(
         not _size(attack, want) < limit or bool(np.allclose(step.rate, want, ROUNDING, 0.0)),
-        f"an action of {action[0, 0]:g} must command {attack.unit_scale:g} times as much "
+        f"an action of {action[0, 0]:g} must command {np.ravel(unit)[0]:g} times as much "
         f"({attack.control}), hence a rate of {want[0, 0]:g} m/s, got {step.rate[0, 0]:g}",
     )
+
+
+def _at_once(attack: Attack) -> Attack:
+    """The attack; one that follows wanted rates, with an acceleration that does not limit it."""
+    free = attack.rate_limit_mps * 1e3
+    follows = isinstance(attack, Offsets)
+    return dataclasses.replace(attack, acceleration_limit_mps2=free) if follows else attack
 
 
 def _check_channels(attack: Attack, world: GroundTruth, steps: Sequence[SimpleNamespace]) -> None:
@@ -343,7 +355,10 @@ def _check_rates(attack: Attack, world: GroundTruth, axes: int) -> None:
         return
     captured = attack.select_channels(world)
     action = np.full((len(STARTS), axes), 0.5 / np.sqrt(axes))
-    for before, step in pairwise(_AttackTrial(attack, world, [action] * COMMANDS).steps()):
+    actions: list[FloatArray | None] = [action] * COMMANDS
+    if attack.control == "offset":  # at a rate that stays
+        actions = [action * (k + 1) / COMMANDS for k in range(COMMANDS)]
+    for before, step in pairwise(_AttackTrial(_at_once(attack), world, actions).steps()):
         change = step.d_range - before.d_range
         mean_rate = 0.5 * (before.d_rate + step.d_rate)
         error = np.abs(change - mean_rate * step.interval[:, None])

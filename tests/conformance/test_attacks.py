@@ -8,15 +8,22 @@ import numpy as np
 import pytest
 
 from spoofgym.attacks import ATTACKS, THREATS, FalsePosition, Meaconer, PerChannel
+from spoofgym.core.declared import list_declarations
 from spoofgym.testing import check_attack
 
 SOME = ("S05", "S11", "S30")
 
 
+CONTROLLED = [
+    (name, control)
+    for name, kind in ATTACKS.items()
+    for control in list_declarations(kind)["control"][0].one_of
+]
+
+
 @pytest.mark.parametrize("channels", ["all", SOME], ids=["all", "some"])
 @pytest.mark.parametrize("coherent", [True, False], ids=["coherent", "pseudorange-only"])
-@pytest.mark.parametrize("control", ["acceleration", "rate"])
-@pytest.mark.parametrize("name", ATTACKS)
+@pytest.mark.parametrize(("name", "control"), CONTROLLED)
 def test_every_attack_keeps_the_contract(name, control, coherent, channels):
     check_attack({"name": name, "control": control, "coherent": coherent, "channels": channels})
 
@@ -24,6 +31,14 @@ def test_every_attack_keeps_the_contract(name, control, coherent, channels):
 @pytest.mark.parametrize("axes", ["n", "d", "end"])
 def test_a_false_position_keeps_the_contract_along_any_axes(axes):
     check_attack(FalsePosition(axes=axes, acceleration_limit_mps2=1.0, rate_limit_mps=3.0))
+
+
+@pytest.mark.parametrize("control", ["rate", "offset"])
+@pytest.mark.parametrize("basis", ["position+clock", "rotated"])
+@pytest.mark.parametrize("channels", ["all", "6 drawn"])
+def test_offsets_keep_the_contract_in_any_basis(basis, channels, control):
+    settings = {"basis": basis, "channels": channels, "control": control}
+    check_attack({"name": "offsets", "slot_order": "elevation", **settings})
 
 
 OPTIONS = {

@@ -50,6 +50,10 @@ MAIN_VARIANTS = {
     "interval": {"decision_interval_s": 1.0, "between": "linear"},
     "tracking-1m": {"attack": "tracking-1m", "receiver": "matched", "scenario": "trolley"},
     "meaconer": {"attack": "meaconer", "detector": {"name": "cusum"}},
+    "offsets": {
+        "attack": {"name": "offsets", "slot_order": "elevation", "errors": "replaced"},
+        **{"control": "offset", "basis": "rotated", "channels": "6 drawn", "domain": WORLDS},
+    },
     "per channel": {"attack": {"name": "per-channel", "control": "rate", "coherent": False}},
     "all": {
         "twin": True,
@@ -263,7 +267,9 @@ def test_at_other_settings_a_batch_survives_pickling_and_is_what_the_spec_makes(
         assert_same([later[i]], single.go(steps), f"receiver {i}, later")
 
 
-@pytest.mark.parametrize("word", ["oracle", "tracking-1m", "meaconer", "per channel", "all"])
+@pytest.mark.parametrize(
+    "word", ["oracle", "tracking-1m", "meaconer", "offsets", "per channel", "all"]
+)
 def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(word):
     kwargs = short(MAIN, autoreset_mode="same_step", **MAIN_VARIANTS[word])
     few = gym.make_vec(MAIN, num_envs=3, threads=1, **kwargs)

@@ -38,6 +38,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
         "scenario": "trolley-tactical",
     },
     "spoofgym/BenchT5-v1": {"timeline": SHORT, "domain": FEW_WORLDS},
+    "spoofgym/Offsets-v0": {"timeline": SHORT, "decision_interval_s": 1.0},
     "spoofgym/LooselyCoupled-v0": {
         "timeline": {"warmup_s": 1.0, "live_s": 1.0, "attack_s": 2.4, "time_to_alert_s": 0.5},
         "detector": {"name": "windowed-chi2", "window": 8},

@@ -192,6 +192,11 @@ class RateSetpoint:
         return self.dimensions == 1
 
     def names(self, setup: Setup) -> tuple[str, ...]:
+        if setup.attack.kind == "offsets":
+            raise ValueError(
+                "an attack by offsets follows wanted rates itself: leave the set-point out, or "
+                "take 'full-command' or 'along-target'"
+            )
         if self.along_target:
             AlongTarget().names(setup)
             return ("along_target_setpoint",)
@@ -217,8 +222,10 @@ ACTION_TERMS: dict[str, type[ActionTerm]] = {
 def default_action(setup: Setup) -> tuple[ActionTerm, ...]:
     """Action of an environment that is given none: the rate set-point of a victim that follows one,
     along the target direction or, where that is ``"worst"``, north and east; else what the attack
-    takes."""
-    if not (setup.follows_setpoint and {"north", "east"} <= {*command_axes(setup)}):
+    takes, as it is with offsets."""
+    if setup.attack.kind == "offsets" or not (
+        setup.follows_setpoint and {"north", "east"} <= {*command_axes(setup)}
+    ):
         return (FullCommand(),)
     return (RateSetpoint(2 if setup.target_heading_deg == "worst" else 1),)
 

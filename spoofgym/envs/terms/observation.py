@@ -131,6 +131,46 @@ class OwnCommand(_Term):
 
 
 @settings_record(frozen=True)
+class OwnOffsets(_Term):
+    """Offsets that are commanded and their rates, in units of the action's scales.
+
+    Where skies differ between episodes, it also has whether an action of each axis counts, and
+    where the captured satellites do, which channels are captured.
+    """
+
+    described_as = "OwnOffsets"
+    knowledge: ClassVar[str] = "blind"
+    limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        if setup.attack.kind != "offsets":
+            raise ValueError(f"own offsets need the attack 'offsets', got {setup.attack.kind!r}")
+        axes = command_axes(setup)
+        masked = axes if self._masks(setup) else []
+        channels = range(setup.world.channels if setup.attack.varies else 0)
+        return (
+            *(f"own_offset_{axis}" for axis in axes),
+            *(f"own_rate_{axis}" for axis in axes),
+            *(f"counts_{axis}" for axis in masked),
+            *(f"captured_slot{s:02d}" for s in channels),
+        )
+
+    def _masks(self, setup: Setup) -> bool:
+        bounds = setup.bounds
+        return bool(setup.attack.varies or bounds.worlds > 1 or bounds.first != bounds.last)
+
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        setup, simulator = snapshot.setup, snapshot.simulator
+        scales = setup.attack.unit_rates(setup.world)
+        a, n = len(scales), out.shape[1]
+        out[:, :a] = simulator.commanded_displacement / (scales * setup.attack.span_s)
+        out[:, a : 2 * a] = simulator.commanded_rate / scales
+        if n > 2 * a:
+            out[:, 2 * a : 3 * a] = simulator.report_attack()["action_mask"]
+            out[:, 3 * a :] = simulator.commands["taken"][:, : n - 3 * a]
+
+
+@settings_record(frozen=True)
 class Time(_Term):
     """Parts of the command phase that are over, and left."""
 
@@ -432,6 +472,7 @@ class ReportedDeviation(ReportedPosition):
 
 OBSERVATION_TERMS: dict[str, type[ObservationTerm]] = {
     "own-command": OwnCommand,
+    "own-offsets": OwnOffsets,
     "time": Time,
     "target-motion": TargetMotion,
     "target-direction": TargetDirection,
@@ -469,7 +510,9 @@ def default_terms(
     level, reported = split_knowledge(knowledge)
     report = ReportedDeviation(scales["length_m"]) if level else ReportedPosition()
     terms: list[ObservationTerm] = [
-        OwnCommand(scales["length_m"], setup.rate_scale_mps, along_target),
+        OwnOffsets()
+        if setup.attack.kind == "offsets" and not along_target
+        else OwnCommand(scales["length_m"], setup.rate_scale_mps, along_target),
         Time(),
         *([TargetDirection()] if setup.target_heading_deg == "random" else []),
         TargetMotion(scales["position_m"], scales.get("velocity_mps", 1.0)),
