@@ -351,6 +351,10 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         info["_final_info"] = over.copy()
         return self.core.observe(), result.reward, result.terminated, result.truncated, info
 
+    def end_episodes(self, mask: NDArray[np.bool_]) -> None:
+        """Take the episodes of some receivers, (B,), as over: a wrapper around this ends them."""
+        self._over |= mask
+
     def close_extras(self, **kwargs: Any) -> None:
         self.core.close()
 
