@@ -515,8 +515,9 @@ def make_log(spec: EpochSpec, setup: Setup) -> EpochLog | None:
 
 def merge_epoch_specs(one: EpochSpec, other: EpochSpec, setup: Setup) -> EpochSpec:
     """Request for all that either of two requests has."""
-    listed = [sorted(setup.has) if spec is True else spec for spec in (one, other) if spec]
-    return False if not listed else tuple(dict.fromkeys(name for each in listed for name in each))
+    wanted = [spec for spec in (one, other) if spec is not False]
+    listed = [sorted(setup.has) if spec is True else spec for spec in wanted]
+    return tuple(dict.fromkeys(name for each in listed for name in each)) if wanted else False
 
 
 def _check_overruled(
