@@ -91,7 +91,7 @@ def compose(
     epoch: EpochSpec = False,
 ) -> None:
     """Set the detector, at a rate of false alarms, add passive detectors, end terms and fields of
-    the logged epochs, of an environment not reset yet. A detector that its id brings is replaced."""
+    logged epochs, of an environment not reset yet. A detector that its id brings is replaced."""
     inner = composable(env)
     if inner.is_started:
         raise RuntimeError("an episode has started: compose the environment before reset()")

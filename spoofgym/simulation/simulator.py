@@ -381,8 +381,8 @@ class Simulator(ABC):
         return verdict
 
     def run_filter_only(self, count: int) -> None:
-        """Run epochs that are not judged. What sees them `from_start` is shown them: the detector in
-        the loop, the monitors, and the detectors of these."""
+        """Run epochs that are not judged. What sees them `from_start` is shown them: the detector
+        in the loop, the monitors, and the detectors of these."""
         self.weights = self.ones
         beside = (each for monitor in self.monitors for each in monitor.detectors)
         all_readers = (self.detector, *beside, *self.monitors)

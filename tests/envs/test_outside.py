@@ -13,6 +13,7 @@ from spoofgym.envs.wrappers import vector as vector_wrappers
 
 from .support import HOLD, LIVE, STEPS, single, vector, victim
 
+
 @pytest.fixture(scope="module")
 def setup():
     return single(detector="never").unwrapped.core.setup
@@ -124,11 +125,11 @@ def test_what_does_not_fit_is_refused_by_name():
     vectors = partial(vector, 2)
     with pytest.raises(TypeError, match=r"its twin for that is `spoofgym.wrappers.vector.Detector"):
         wrappers.DetectorWrapper(vectors(), "snapshot-chi2")
-    with pytest.raises(ValueError, match="autoreset_mode' 'next_step' or|`autoreset_mode`"):
+    with pytest.raises(ValueError, match="needs infos='all' and an `autoreset_mode`"):
         vector_wrappers.PassiveDetector(vectors(autoreset_mode="same_step"), "snapshot-chi2")
     with pytest.raises(ValueError, match="a pool draws a member"):
         wrappers.PassiveDetector(single(), {"name": "pool", "members": ["shewhart"]})
-    with pytest.raises(ValueError, match="no field of an epoch 'truth'|'truth'"):
+    with pytest.raises(ValueError, match="'truth'"):
         single(epoch=["truth"])
     with pytest.raises(TypeError, match="`epoch` must be True, False or names"):
         single(epoch="innovation_cov")

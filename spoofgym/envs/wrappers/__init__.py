@@ -2,8 +2,8 @@
 
 `DetectorWrapper`, `WatchWrapper`, `StealthBudget` and `EpochInfo` only set something in the engine
 before the first episode: nothing outside could sit between the halves of an epoch.  So each is the
-same as an argument of the environment.  A detector that only looks may be outside: `PassiveDetector`,
-or any wrapper around an `EpochInfo`.
+same as an argument of the environment.  A detector that only looks may be outside:
+`PassiveDetector`, or any wrapper around an `EpochInfo`.
 
 A file of recorded epochs holds those of the commands: neither the warm-up, nor the time to alert
 after the last one.  It is written as a whole when its episode is over, so that a run that is broken
@@ -280,9 +280,7 @@ class PassiveDetector(_Base, RecordConstructorArgs):
         end: bool = True,
     ) -> None:
         rate = false_alarms_per_hour
-        RecordConstructorArgs.__init__(
-            self, detector=detector, false_alarms_per_hour=rate, end=end
-        )
+        RecordConstructorArgs.__init__(self, detector=detector, false_alarms_per_hour=rate, end=end)
         require_single(env, PassiveDetector)
         gym.Wrapper.__init__(self, env)
         self.judge, self.end = OutsideDetector(env, detector, rate), end

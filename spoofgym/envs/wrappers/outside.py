@@ -38,7 +38,8 @@ class OutsideDetector:
             raise ValueError("a pool draws a member for every episode, in the loop alone")
         if weighs(setup, made):
             raise ValueError(
-                f"{detector!r} de-weights measurements, which needs the loop: take `DetectorWrapper`"
+                f"{detector!r} de-weights measurements, which needs the loop: take "
+                "`DetectorWrapper`"
             )
         warn_uncalibrated(detector, made, false_alarms_per_hour, setup)
         never = "never" if brings_detector(inner) else None
@@ -49,7 +50,7 @@ class OutsideDetector:
         self._all = np.arange(inner.core.receivers)
 
     def judge(self, info: Info, fresh: Mask) -> Info:
-        """What of the information, with (B,) ``epochs``, a wrapper sets; `fresh` (B,) begin anew."""
+        """What a wrapper sets, by information with (B,) ``epochs``; `fresh` (B,) start again."""
         if fresh.any():
             self.detector.reset(fresh)
         self._play(info.get("settling_epochs", ()), self.detector.watch)
@@ -86,7 +87,10 @@ class OutsideDetector:
             idle = np.flatnonzero(~self._having)
             some = epochs[int(np.argmax(self._having))][k]
             batch = stack_receivers(
-                [each[k] if there else some for each, there in zip(epochs, self._having, strict=True)]
+                [
+                    each[k] if there else some
+                    for each, there in zip(epochs, self._having, strict=True)
+                ]
             )
             if len(idle):
                 self._idle.memory.copy_rows(self._all, self.detector.memory, self._all)

@@ -34,6 +34,15 @@ def report(info: dict[str, Any], arrays: dict[str, Array]) -> None:
         info[name], info[f"_{name}"] = array, np.ones(len(array), dtype=np.bool_)
 
 
+def require_separate_resets(inner: Any, wrapper: type) -> None:
+    """Refuse an environment in which the last step of an episode and the next start are one."""
+    if inner.autoreset_mode is AutoresetMode.SAME_STEP or inner.infos != "all":
+        raise ValueError(
+            f"{wrapper.__name__} needs infos='all' and an `autoreset_mode` 'next_step' or "
+            f"'disabled', got {inner.infos!r} and {inner.autoreset_mode.name.lower()!r}"
+        )
+
+
 class DetectorWrapper(Wrapper):
     """As `wrappers.DetectorWrapper`, of all receivers. The verdicts are in the information where
     the environment hands out all of it."""
@@ -87,12 +96,7 @@ class PassiveDetector(Wrapper):
     ) -> None:
         super().__init__(env)
         self.judge, self.end = OutsideDetector(env, detector, false_alarms_per_hour), end
-        inner = composable(env)
-        if inner.autoreset_mode is AutoresetMode.SAME_STEP or inner.infos != "all":
-            raise ValueError(
-                "a PassiveDetector needs infos='all' and an `autoreset_mode` 'next_step' or "
-                f"'disabled', got {inner.infos!r} and {inner.autoreset_mode.name.lower()!r}"
-            )
+        require_separate_resets(composable(env), PassiveDetector)
         self._over = np.zeros(env.num_envs, dtype=np.bool_)
 
     def reset(
@@ -114,7 +118,7 @@ class PassiveDetector(Wrapper):
         report(info, self.judge.judge(info, fresh))
         if self.end:
             alarm = info["alarm"] & ~fresh
-            composable(self).end_episodes(alarm)
+            self.unwrapped.end_episodes(alarm)  # type: ignore[attr-defined]
             terminated = terminated | alarm
         self._over = terminated | truncated
         return observation, reward, terminated, truncated, info
