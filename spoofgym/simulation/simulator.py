@@ -385,8 +385,8 @@ class Simulator(ABC):
         in the loop, the monitors, and the detectors of these."""
         self.weights = self.ones
         beside = (each for monitor in self.monitors for each in monitor.detectors)
-        all_readers = (self.detector, *beside, *self.monitors)
-        watching = [each for each in all_readers if each.from_start]
+        readers: list[Detector | Monitor] = [self.detector, *beside, *self.monitors]
+        watching = [each for each in readers if each.from_start]
         if not watching:
             self._run_unseen(count)
             return

@@ -26,6 +26,7 @@ from ..detectors.calibration_file import (
     hourly_rate,
     run_probability,
 )
+from ..duel.opponents import label_opponent
 from .streams import (
     BLOCK,
     FloatArray,
@@ -181,7 +182,7 @@ def evaluate_wrapped(
     for spoofer, parts in zip(spoofers, played, strict=True):
         since, moved = np.concatenate([p for p, _ in parts]), np.hstack([m for _, m in parts])
         counted = np.where((since > 0) & (alarms == 0), since, 0)
-        outcomes.append(_score_attack(str(spoofer), counted, moved, recorder))
+        outcomes.append(_score_attack(label_opponent(spoofer), counted, moved, recorder))
     return WrappedScore(runs, scale, hourly, tuple(outcomes))
 
 

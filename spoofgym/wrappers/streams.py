@@ -109,8 +109,10 @@ class Recorder:
             first = 0 if self._drawn else int(draw.integers(len(start) // 2 + 1))
             zero = start[first].time
             parts = (*settling, *start[:first]) if settling else (), (*start[first:], *rest[row])
-            shown = (tuple(e._replace(time=e.time - zero) for e in part) for part in parts)
-            found.append(Stream(*shown, before=len(start) - first))
+            settled, judged = (
+                tuple(e._replace(time=e.time - zero) for e in part) for part in parts
+            )
+            found.append(Stream(settled, judged, len(start) - first))
         return found
 
 
@@ -150,7 +152,9 @@ class StreamEnv(gym.Env[Any, Any]):
         self.observed = self.observation_space.sample()
         return self.observed.copy()
 
-    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         return self._observe(), {name: each[0] for name, each in self.feed.begin().items()}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:

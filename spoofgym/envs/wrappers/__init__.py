@@ -299,7 +299,9 @@ class PassiveDetector(_Base, RecordConstructorArgs):
         return observation, reward, terminated or (self.end and info["alarm"]), truncated, info
 
     def _judge(self, info: dict[str, Any], *, fresh: bool) -> dict[str, Any]:
-        epochs = {name: [info[name]] for name in ("epochs", "settling_epochs") if name in info}
+        epochs: dict[str, Any] = {
+            name: [info[name]] for name in ("epochs", "settling_epochs") if name in info
+        }
         return first_values(self.judge.judge(epochs, np.array([fresh])))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -49,7 +49,7 @@ class OutsideDetector:
         self._idle = copy.deepcopy(self.detector)
         self._all = np.arange(inner.core.receivers)
 
-    def judge(self, info: Info, fresh: Mask) -> Info:
+    def judge(self, info: Mapping[str, Any], fresh: Mask) -> Info:
         """What a wrapper sets, by information with (B,) ``epochs``; `fresh` (B,) start again."""
         if fresh.any():
             self.detector.reset(fresh)
