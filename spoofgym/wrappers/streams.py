@@ -134,11 +134,16 @@ class Feed:
         return {"epochs": self._next()}
 
     def _next(self) -> list[Any]:
-        return [each.epochs[self.at : self.at + 1] for each in self.streams]
+        return [tuple(map(_copy, each.epochs[self.at : self.at + 1])) for each in self.streams]
 
     @property
     def over(self) -> NDArray[np.bool_]:
         return np.array([self.at + 1 >= len(each.epochs) for each in self.streams])
+
+
+def _copy(epoch: Epoch) -> Epoch:
+    """The same in arrays of its own, which a wrapper may keep, or write to."""
+    return Epoch(*(None if array is None else array.copy() for array in epoch))  # type: ignore[arg-type]
 
 
 class StreamEnv(gym.Env[Any, Any]):
