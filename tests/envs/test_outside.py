@@ -58,6 +58,21 @@ def test_the_verdicts_outside_are_those_within_to_the_bit(setup, name):
             assert theirs["statistic"][0] / theirs["threshold"][0] == ratio
 
 
+def test_a_filter_of_its_own_sees_the_whole_start_from_outside():
+    world = {"scenario": "trolley", "receiver": "matched", "end": "at-window-end"}
+    spec = {"name": "snapshot-chi2", "filter": "augmented", "thresholds": "nominal"}
+    within = single(detector=spec, **world)
+    outside = wrappers.PassiveDetector(single(detector="never", **world), spec, end=False)
+    within.reset(seed=1)
+    assert len(outside.reset(seed=1)[1]["settling_epochs"]) == LIVE
+    for _ in range(STEPS - 1):
+        within.step([0.0, 0.5])
+        mine = outside.step([0.0, 0.5])[4]
+        verdict = within.unwrapped.core.engine.simulator.verdict
+        assert mine["statistic"] / mine["threshold"] == (verdict.statistic / verdict.threshold)
+        assert mine["statistic"] > 0.0
+
+
 class TenLines(gym.Wrapper):
     """Alarms where a range rate is far from what was predicted; knows nothing of this library."""
 

@@ -21,7 +21,7 @@ from ..envs.support import HOLD, SHORT, STEPS, AlarmAt
 
 ID = "spoofgym/TightlyCoupled-v0"
 FAST = {"name": "ramp", "rate_mps": 1.0}
-LARGEST = 4.0
+LARGEST = 1.6
 
 
 def bare(**settings):
