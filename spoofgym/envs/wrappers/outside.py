@@ -46,6 +46,7 @@ class OutsideDetector:
         compose(env, detector=never, epoch=(*sorted(made.needs), *made.from_start * [SETTLING]))
         self.detector = copy.deepcopy(made)
         inner.core.engine.simulator.bind_detector(self.detector)
+        inner.outside_detector = made  # as a card names it
         self._idle = copy.deepcopy(self.detector)
         self._all = np.arange(inner.core.receivers)
 
