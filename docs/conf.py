@@ -34,6 +34,7 @@ docs/rl_libraries
 :hidden:
 :caption: Environments
 docs/terms
+docs/detector_wrapper
 docs/own_observation_term
 docs/learning
 docs/duel

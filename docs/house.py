@@ -17,6 +17,7 @@ ROOMS = {
     "sb3": "stable-baselines3",
     "export": "torch to ONNX",
     "testing": "check_detector, check_attack, check_spoofer, check_stationary",
+    "wrappers": "detectors as Gymnasium wrappers: recorder, check, score",
     "duel_v0": "the duel, for PettingZoo",
     "bench": "detectors x spoofers x paired seeds: runs, scores, searches, experiments, reports",
     "duel": "spoofer against detector, views of one side",

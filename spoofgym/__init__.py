@@ -22,13 +22,14 @@ tasks        tasks for spoofers and for detectors, frozen settings
 duel         the game of a spoofer and a detector, its two forms and the views of one side
 bench        detectors x spoofers x paired seeds: runs, scores, searches, experiments, reports
 duel_v0      what is public of the duel, for PettingZoo and Gymnasium
+wrappers     detectors as Gymnasium wrappers: recorder, check, score
 testing      check_detector, check_attack, check_spoofer, check_stationary
 export       from a model to an ONNX file with its card
 sb3          the vector environment of stable-baselines3, and a callback that scores
 cli          the command line: `spoofgym --help`
 
-`spoofgym.evaluate` scores any spoofer by the rule of the benchmark, and
-`spoofgym.evaluate_detector` any detector.
+`spoofgym.evaluate` scores any spoofer by the rule of the benchmark,
+`spoofgym.evaluate_detector` any detector, and `spoofgym.evaluate_wrapped` one that is a wrapper.
 
 **Frames**
 
@@ -78,6 +79,7 @@ from .tasks import TASKS as _TASKS
 if TYPE_CHECKING:
     from .bench.experiments.evaluate import evaluate as evaluate
     from .bench.experiments.protect import evaluate_detector as evaluate_detector
+    from .wrappers.evaluate import evaluate_wrapped as evaluate_wrapped
 
 __version__ = "0.1.0.dev0"
 
@@ -159,7 +161,7 @@ for _detector_task in _DETECTOR_TASKS.values():
 
 
 def __getattr__(name: str) -> Any:
-    """`evaluate` and `evaluate_detector`, imported on first use: their import is slow."""
+    """The functions that evaluate, imported on first use: their import is slow."""
     if name == "evaluate":
         from .bench.experiments.evaluate import evaluate
 
@@ -168,4 +170,8 @@ def __getattr__(name: str) -> Any:
         from .bench.experiments.protect import evaluate_detector
 
         return evaluate_detector
+    if name == "evaluate_wrapped":
+        from .wrappers.evaluate import evaluate_wrapped
+
+        return evaluate_wrapped
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -32,6 +32,8 @@ from .core.declared import check_number
 from .core.files import write_file
 from .core.registry import check_choice
 from .core.settings import describe
+from .detectors import Detector
+from .detectors.build import spec_of_judge
 from .detectors.learned import DetectorAgent, action_names, detector_card
 from .detectors.observation import DetectorObserver
 from .duel.views import write_card
@@ -436,6 +438,7 @@ def _compare_sequences(judge: _Judge, policy: OnnxDetector, observer: DetectorOb
 
 OF_THE_CALL = (
     "autoreset_mode",
+    "epoch",
     "infos",
     "num_envs",
     "prefetch",
@@ -589,6 +592,14 @@ def _describe_env(inner: Any) -> tuple[str, dict[str, Any]]:
     if "victim" in own:
         env_id = find_env_id(select_victim(own["victim"]))
     own = {name: value for name, value in own.items() if name not in OF_THE_CALL}
+    judge = _find_own_detector(inner, own.get("detector"))
+    if judge is not None:
+        own["detector"] = spec_of_judge(judge)
+        if "<locals>" in own["detector"]["name"] or own["detector"]["name"].startswith("__main__"):
+            raise ValueError(
+                f"no card can name the detector {own['detector']['name']!r}: put its class into a "
+                "module that can be imported"
+            )
     try:
         return env_id, json.loads(json.dumps({k: describe(x) for k, x in own.items()}))
     except (TypeError, ValueError) as error:
@@ -596,6 +607,19 @@ def _describe_env(inner: Any) -> tuple[str, dict[str, Any]]:
             f"the settings of the environment can't be written into a card ({error}): give its "
             "parts by name and settings"
         ) from error
+
+
+def _find_own_detector(inner: Any, setting: Any) -> Detector | None:
+    """Detector that a wrapper has set, outside of the loop or within, or that is given as an
+    object; None where the settings name it."""
+    outside: Detector | None = getattr(inner, "outside_detector", None)
+    if outside is not None:
+        return outside
+    stale = getattr(inner, "wrapped", False) and not hasattr(inner, "env_kwargs")
+    if not stale and (setting is None or isinstance(setting, str | Mapping)):
+        return None
+    found: Detector = inner.core.setup.detector
+    return found
 
 
 def _normalization_around(model: Any, env: Any) -> Normalization | None:

@@ -16,8 +16,10 @@ from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
 from stable_baselines3.common.vec_env import VecNormalize
 
 import spoofgym.export
+from spoofgym import wrappers
 from spoofgym.bench.experiments.evaluate import Evaluator
-from spoofgym.detectors import make_detector
+from spoofgym.detectors import Calibrated, SnapshotChi2, make_detector
+from spoofgym.detectors.build import spec_of_judge
 from spoofgym.envs import attach
 from spoofgym.export import onnx
 from spoofgym.policies.load import OnnxDetector
@@ -276,3 +278,29 @@ def test_a_module_that_is_no_detector_is_refused_and_nothing_is_written(
     assert not list(tmp_path.iterdir())
     with pytest.raises(TypeError, match="`module` must be a torch module, got function"):
         spoofgym.export.detector(lambda seen: seen, tmp_path / "guard.onnx", **options)
+
+
+def test_a_card_names_the_detector_that_a_wrapper_has_set(tmp_path):
+    """Within the loop and outside, an object of a module that can be imported."""
+    own = Calibrated(SnapshotChi2(signals="pseudorange"), scale=0.8)
+    written = spec_of_judge(own)
+    task = gym.make("spoofgym/BenchT1-v1")
+    wrapped = [
+        wrappers.DetectorWrapper(task, own),
+        wrappers.PassiveDetector(gym.make("spoofgym/BenchT1-v1"), own),
+        sb3("spoofgym/TightlyCoupled-v0", detector=own),
+    ]
+    for number, env in enumerate(wrapped):
+        path = tmp_path / f"{number}.onnx"
+        model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
+        card = onnx(model, path=path)
+        assert card.env_kwargs["detector"] == written
+        assert "epoch" not in card.env_kwargs
+
+    class Local(SnapshotChi2):
+        pass
+
+    env = sb3("spoofgym/TightlyCoupled-v0", detector=Local())
+    model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
+    with pytest.raises(ValueError, match=r"no card can name .*Local'"):
+        onnx(model, path=tmp_path / "local.onnx")

@@ -12,10 +12,19 @@ pytest.importorskip("stable_baselines3")
 import gymnasium as gym
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
+from spoofgym.detectors import Calibrated
 from spoofgym.envs.terms.reward import AlarmPenalty, default_rewards
 from spoofgym.envs.wrappers import vector as vector_wrappers
-from spoofgym.sb3 import DetectorWrapper, RecordEpochs, SpoofVecEnv
+from spoofgym.sb3 import (
+    AlarmRecorder,
+    DetectorWrapper,
+    PassiveDetector,
+    RecordEpochs,
+    SpoofVecEnv,
+)
+from spoofgym.wrappers import vector as wrapped_vectors
 
+from .envs.support import AlarmAt
 from .nightly import heavy
 
 TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 5.0, "time_to_alert_s": 1.0}
@@ -256,6 +265,40 @@ def test_recorded_epochs_are_those_of_the_vector_environment(tmp_path):
         assert table.equals(theirs[name], check_metadata=True)
     told = [table.schema.metadata[b"spoofgym"] for table in mine.values()]
     assert sum(b'"complete": true' in text for text in told) == ends >= ENVS
+
+
+def test_a_detector_outside_ends_the_episodes_that_it_ends_around_the_vector():
+    detector, own = Calibrated(AlarmAt(7), scale=1.0), {"detector": "never", "infos": "all"}
+    mine = AlarmRecorder(VecMonitor(PassiveDetector(make(**own), detector)))
+    envs = gym.make_vec(
+        "spoofgym/TightlyCoupled-v0", num_envs=ENVS, **{**SETTINGS, **own}, threads=1
+    )
+    theirs = wrapped_vectors.AlarmRecorder(wrapped_vectors.PassiveDetector(envs, detector))
+    mine.reset()
+    theirs.reset(seed=3)
+    ended, push = 0, np.ones((ENVS, 2), dtype=np.float32)
+    for _ in range(12):
+        observations, _, over, infos = mine.step(push)
+        seen, _, terminated, truncated, all_infos = theirs.step(push)
+        assert np.array_equal(over, terminated | truncated)
+        for name in ("alarm", "statistic", "threshold"):
+            assert [info[name] for info in infos] == all_infos[name].tolist()
+        for row in np.flatnonzero(over):
+            assert np.array_equal(infos[row]["terminal_observation"], seen[row])
+        if over.any():
+            assert over.all()  # at the same step, so that the two go on side by side
+            begun, _, _, _, start = theirs.step(push)
+            assert np.array_equal(observations, begun)
+            told = [each["alarm"] for each in mine.venv.venv.reset_infos]
+            assert told == start["alarm"].tolist()
+            ended += 1
+            assert all(info["alarm"] for info in infos)
+    assert ended > 2
+    assert mine.alarms.summarize() == theirs.alarms.summarize()
+    with pytest.raises(TypeError, match="not wrapped yet"):
+        PassiveDetector(VecMonitor(make(**own)), detector)
+    with pytest.raises(ValueError, match="`infos` of the SpoofVecEnv must have alarm"):
+        AlarmRecorder(make())
 
 
 def test_a_wrapper_sets_the_detector_as_its_argument_does():

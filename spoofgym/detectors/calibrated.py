@@ -48,6 +48,14 @@ NOISY_WARMUP = 0.2
 """Share of clean runs with an alarm before the attack above which there is a warning."""
 
 
+LARGEST_FACTOR = 10.0
+"""Factor on the thresholds of a test with a drift term above which there is a warning."""
+
+
+class UncalibratedWarning(UserWarning):
+    """A detector plays with thresholds whose rate of false alarms is unknown."""
+
+
 class CalibrationWorld(Protocol):
     """What a calibration is looked up by: a `Setup`."""
 
@@ -193,6 +201,8 @@ class Calibrated(Detector):
         if point.warmup_alarms > NOISY_WARMUP:
             name = self.detector.label or describe_identity(self.detector)["name"]
             warnings.warn(noisy_warmup(name, point), stacklevel=2)
+        if self.detector.drifts and point.scale > LARGEST_FACTOR:
+            warnings.warn(describe_blunt(self.detector, point), stacklevel=2)
 
     def _load_candidates(
         self, conditions: Conditions, identity: dict[str, Any]
@@ -211,16 +221,10 @@ class Calibrated(Detector):
         return [found]
 
     def _missing(self, conditions: Conditions, identity: dict[str, Any]) -> str:
-        name, rate = identity["name"], f"{self.false_alarms_per_hour:g}"
-        shown = {"name": name, **self._collect_settings()}
-        quoted = shlex.quote(str(shown["name"]) if len(shown) == 1 else json.dumps(shown))
-        variant = " --rescaled" if self.rescaled else ""
-        line = (
-            f"`spoofgym calibrate {conditions.options} --detector {quoted} "
-            f"--false-alarms-per-hour {rate}{variant}`"
-            if conditions.options
-            else "`spoofgym.calibration.calibrate_detectors(env.unwrapped.core.setup, ...)`, "
-            "since no command line can name this world"
+        rate = f"{self.false_alarms_per_hour:g}"
+        shown = {"name": identity["name"], **collect_settings(self.detector)}
+        line = calibration_command(
+            self.detector, conditions, self.false_alarms_per_hour, rescaled=self.rescaled
         )
         near = nearest(conditions, identity, self.rescaled)
         seen = ""
@@ -236,17 +240,47 @@ class Calibrated(Detector):
             f"{other}.{seen}"
         )
 
-    def _collect_settings(self) -> dict[str, Any]:
-        if hasattr(self.detector, "spec"):
-            return dict(self.detector.spec)
-        own = inspect.signature(type(self.detector)).parameters
-        given = {key: getattr(self.detector, key, each.default) for key, each in own.items()}
-        if hasattr(self.detector, "identity"):
-            return {}
-        try:
-            return {key: describe_as_json(x) for key, x in given.items() if x != own[key].default}
-        except (TypeError, ValueError):
-            return {}
+
+def collect_settings(detector: Detector) -> dict[str, Any]:
+    """Settings of a detector that are not its defaults, as far as they are JSON-able."""
+    if hasattr(detector, "spec"):
+        return dict(detector.spec)
+    own = inspect.signature(type(detector)).parameters
+    given = {key: getattr(detector, key, each.default) for key, each in own.items()}
+    if hasattr(detector, "identity"):
+        return {}
+    try:
+        return {key: describe_as_json(x) for key, x in given.items() if x != own[key].default}
+    except (TypeError, ValueError):
+        return {}
+
+
+def calibration_command(
+    detector: Detector, conditions: Conditions, rate: float | None, *, rescaled: bool = False
+) -> str:
+    """What calibrates a detector in a world for a rate of false alarms, for messages."""
+    if not conditions.options:
+        return (
+            "`spoofgym.calibration.calibrate_detectors(env.unwrapped.core.setup, ...)`, since no "
+            "command line can name this world"
+        )
+    try:
+        name = describe_identity(detector)["name"]
+    except TypeError:  # it does not keep its settings
+        name = name_kind(type(detector))
+    shown = {"name": name, **collect_settings(detector)}
+    quoted = shlex.quote(str(shown["name"]) if len(shown) == 1 else json.dumps(shown))
+    variant = " --rescaled" if rescaled else ""
+    return (
+        f"`spoofgym calibrate {conditions.options} --detector {quoted} "
+        f"--false-alarms-per-hour {rate:g}{variant}`"
+    )
+
+
+def name_kind(kind: type[Detector]) -> str:
+    """Registered name of a class of detectors, or ``"module:Class"``."""
+    names = {cls: name for name, cls in DETECTORS.items()}
+    return names.get(kind, f"{kind.__module__}:{kind.__qualname__}")
 
 
 def check_drifts(detector: Detector) -> None:
@@ -255,6 +289,14 @@ def check_drifts(detector: Detector) -> None:
             f"`thresholds` 'rescaled' is for detectors with a drift term, which "
             f"{type(detector).__name__} is not: there it is the same as a factor on the threshold"
         )
+
+
+def describe_blunt(detector: Detector, point: OperatingPoint) -> str:
+    return (
+        f"{detector.label or name_kind(type(detector))} hardly ever alarms at an attack here: at "
+        f"{point.false_alarms_per_hour:g} false alarms an hour its threshold is {point.scale:.3g} "
+        "times the published one, since its sums grow in clean runs of this world"
+    )
 
 
 def noisy_warmup(name: str, point: OperatingPoint) -> str:
@@ -303,8 +345,7 @@ def describe_identity(detector: Detector) -> dict[str, Any]:
     if own is not None:
         return dict(describe_as_json(own()))
     kind = type(detector)
-    names = {cls: name for name, cls in DETECTORS.items()}
-    name = names.get(kind, f"{kind.__module__}:{kind.__qualname__}")
+    name = name_kind(kind)
     parameters = inspect.signature(kind).parameters.values()
     spread = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     settings = {p.name for p in parameters if p.kind not in spread} - {"alarm_scale"}
@@ -321,7 +362,7 @@ def describe_identity(detector: Detector) -> dict[str, Any]:
             for key in list_written(detector, sorted(settings))
         },
     }
-    sources = {} if kind in names else outside_sources(detector)
+    sources = {} if kind in DETECTORS.values() else outside_sources(detector)
     readable = {name: digest for name, digest in sources.items() if digest is not None}
     return {**found, "sources": readable} if readable else found
 

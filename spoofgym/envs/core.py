@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from ..core.declared import check_number, check_word
 from ..core.memory import Memory
-from ..core.registry import check_truth
+from ..core.registry import check_choice, check_truth
 from ..detectors import Detector, Verdict, detector_in_world
 from ..simulation.domain import FloatArray
 from ..simulation.engine import Engine
-from ..simulation.monitors import PassiveDetectors, needed_monitors
+from ..simulation.monitors import EpochLog, PassiveDetectors, needed_monitors
 from ..simulation.setup import Setup
 from ..simulation.simulator import FixedChoices, Rngs, Rows, run_serially
 from ._kernels import ALARM, COST, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
@@ -41,6 +41,10 @@ Listener = Callable[["SpoofCore", EpochState, Verdict], None]
 """Called after every epoch of a command, before the time to alert, if it was the last."""
 WatchSpec = str | Mapping[str, Any] | Detector | Sequence[str | Mapping[str, Any] | Detector]
 """Passive detectors: they judge the same epochs as the one in the loop, and change nothing."""
+EpochSpec = bool | Sequence[str]
+"""Whether the information has the epochs: optional fields of `Epoch` by name, True for all that the
+receiver has; `SETTLING` among them adds the filter-only warm-up, as ``info["settling_epochs"]``."""
+SETTLING = "settling"
 SingleStep = tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]
 """Observation, reward, terminated, truncated, and information, of a batch of one."""
 ALARM_PRICE = 1.5
@@ -126,6 +130,7 @@ class SpoofCore:
         reward: RewardSpec | None = None,
         end: EndSpec | None = None,
         watch: WatchSpec = (),
+        epoch: EpochSpec = False,
         length_m: float | None = None,
         alarm_price: float = ALARM_PRICE,
         end_at_alarm: bool = True,
@@ -158,6 +163,7 @@ class SpoofCore:
             "reward": reward,
             "end": ends,
             "watch": make_watch(watch),
+            "epoch": epoch,
             "length_m": length_m,
             "alarm_price": alarm_price,
             "end_at_alarm": end_at_alarm,
@@ -176,6 +182,12 @@ class SpoofCore:
         if self._passive is not None:
             monitors.append(self._passive.monitor)
             self.reset_names += self._passive.reset_names
+        log = make_log(epoch, setup)
+        self._log_names: tuple[str, ...] = ()
+        if log is not None:
+            monitors.append(log)
+            self._log_names = ("epochs", "settling_epochs") if log.from_start else ("epochs",)
+            self.reset_names += self._log_names
         own = set(map(type, monitors))
         monitors += [monitor for monitor in setup.monitors if type(monitor) not in own]
         self.setup = setup.copy_with(monitors=monitors, kernel=PLAY)
@@ -221,6 +233,7 @@ class SpoofCore:
             *rewards,
             *self._ends.info_names,
             *passive,
+            *self._log_names,
         )
 
     def set_rewards(self, terms: Sequence[Any]) -> None:
@@ -242,7 +255,8 @@ class SpoofCore:
         self._scratch = StepResult(self._fused.layout)
         captures = bool(self.setup.attack.capture is not None or self.setup.attack.reports)
         twins = self.engine.twin is not None
-        self._reports_more = captures or twins or self._passive is not None
+        watched = self._passive is not None or bool(self._log_names)
+        self._reports_more = captures or twins or watched
         self._needs_arrays = (
             self._reports_more or self._has_ends or not self._compiled or self.setup.repeat > 1
         )
@@ -313,7 +327,16 @@ class SpoofCore:
                 result.extra.update(self.engine.simulator.report_attack())
             if self._passive is not None:
                 result.extra.update(self._passive.step_info(self._passive_memory))
+            result.extra.update(self._take_epochs())
         return result, observation
+
+    def _take_epochs(self) -> Info:
+        """Epochs since the last call, where they are logged, by `_log_names`."""
+        if not self._log_names:
+            return {}
+        log = self.engine.simulator.monitor(EpochLog)
+        taken = log.take(), log.take_settling()
+        return dict(zip(self._log_names, taken, strict=False))
 
     def single(self, action: FloatArray) -> SingleStep:
         if self._needs_arrays or self.listeners:
@@ -413,6 +436,7 @@ class SpoofCore:
             "coasting": engine.simulator.coasting.copy(),
             **(engine.simulator.report_attack() if self.setup.attack.reports else {}),
             **(self._passive.reset_info() if self._passive else {}),
+            **self._take_epochs(),
         }
 
 
@@ -479,6 +503,26 @@ def make_watch(spec: WatchSpec) -> tuple[Detector, ...]:
     if not isinstance(spec, Sequence):
         raise TypeError(f"`watch` must be a detector or a list of detectors, got {spec!r}")
     return tuple(detector_in_world(each) for each in spec)
+
+
+def make_log(spec: EpochSpec, setup: Setup) -> EpochLog | None:
+    """Log of the epochs as `epoch` requests them; None without one."""
+    if spec is False:
+        return None
+    if spec is True:
+        return EpochLog(setup.has)
+    if isinstance(spec, str) or not isinstance(spec, Sequence):
+        raise TypeError(f"`epoch` must be True, False or names of fields, got {spec!r}")
+    for name in spec:
+        check_choice("field of an epoch", name, (*sorted(setup.has), SETTLING))
+    return EpochLog(set(spec) - {SETTLING}, from_start=SETTLING in spec)
+
+
+def merge_epoch_specs(one: EpochSpec, other: EpochSpec, setup: Setup) -> EpochSpec:
+    """Request for all that either of two requests has."""
+    wanted = [spec for spec in (one, other) if spec is not False]
+    listed = [sorted(setup.has) if spec is True else spec for spec in wanted]
+    return tuple(dict.fromkeys(name for each in listed for name in each)) if wanted else False
 
 
 def _check_overruled(

@@ -200,7 +200,7 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         self.autoreset_mode = parse_autoreset_mode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = None
-        self._infos = infos
+        self.infos = infos
         self.adopt(core)
         self.closed = False
 
@@ -212,7 +212,7 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         self.single_action_space = action_space(core)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._keys = info_keys(self._infos, core.info_names)
+        self._keys = info_keys(self.infos, core.info_names)
         self._rngs: list[np.random.Generator] = []
         self._halfway = False
         self._over = np.ones(self.num_envs, dtype=np.bool_)
@@ -350,6 +350,10 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         info["final_info"] = add_masks(last, over)
         info["_final_info"] = over.copy()
         return self.core.observe(), result.reward, result.terminated, result.truncated, info
+
+    def end_episodes(self, mask: NDArray[np.bool_]) -> None:
+        """Take the episodes of some receivers, (B,), as over: a wrapper around this ends them."""
+        self._over |= mask
 
     def close_extras(self, **kwargs: Any) -> None:
         self.core.close()

@@ -16,7 +16,7 @@ from ..simulation.robot import WheeledRobotSetup
 from ..simulation.setup import Setup
 from ..simulation.snapshot import SnapshotSetup
 from ..simulation.tight import TightlyCoupledSetup
-from .core import SpoofCore, WatchSpec, make_watch
+from .core import EpochSpec, SpoofCore, WatchSpec, make_watch, merge_epoch_specs
 from .terms import EndSpec, make_terms
 from .terms.termination import AtAlarm
 
@@ -88,9 +88,10 @@ def compose(
     false_alarms_per_hour: float | None = None,
     watch: WatchSpec = (),
     end: EndSpec = (),
+    epoch: EpochSpec = False,
 ) -> None:
-    """Set the detector, at a rate of false alarms, add passive detectors and end terms, of an
-    environment not reset yet. A detector that its id brings is replaced."""
+    """Set the detector, at a rate of false alarms, add passive detectors, end terms and fields of
+    logged epochs, of an environment not reset yet. A detector that its id brings is replaced."""
     inner = composable(env)
     if inner.is_started:
         raise RuntimeError("an episode has started: compose the environment before reset()")
@@ -98,10 +99,9 @@ def compose(
     before: SpoofCore = inner.core
     setup = before.setup
     if detector is not None:
-        present = inner.detector_setting
-        if present is not None and (inner.wrapped or present != _detector_of_id(inner)):
+        if not brings_detector(inner):
             raise ValueError(
-                f"two detectors are set at once: {present!r} and {detector!r}; "
+                f"two detectors are set at once: {inner.detector_setting!r} and {detector!r}; "
                 "one alone can be in the loop, others are passive"
             )
         setup = setup.copy_with(detector=detector_in_world(detector, false_alarms_per_hour))
@@ -112,12 +112,20 @@ def compose(
         if present is None:
             present = (AtAlarm(),) if before.end_at_alarm else ()
         changes["end"] = (*present, *make_terms("end", end))
+    if epoch is not False:
+        changes["epoch"] = merge_epoch_specs(before.settings["epoch"], epoch, setup)
     core = before.copy_with(setup, **changes)
     core.listeners = before.listeners
     inner.adopt(core)
     before.close()
     if detector is not None:
         inner.detector_setting, inner.wrapped = detector, True
+
+
+def brings_detector(inner: Any) -> bool:
+    """Whether the detector of an environment is its id's, and no argument or wrapper has set it."""
+    present = inner.detector_setting
+    return present is None or not (inner.wrapped or present != _detector_of_id(inner))
 
 
 def _detector_of_id(inner: Any) -> Any:

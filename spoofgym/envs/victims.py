@@ -243,6 +243,12 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     watch : sequence of str, mapping or Detector
         Passive detectors: they judge the same epochs and change nothing;
         ``info["watch_NAME_alarm"]`` and more report them.
+    epoch : bool or sequence of str
+        Whether ``info["epochs"]`` has all epochs since the last call, in order, as `Epoch` of one
+        receiver each: after a reset those of the monitored start, in the last step also those of
+        the time to alert.  True for all fields that the receiver has, or names of the optional ones
+        that they are to have; ``"settling"`` adds ``info["settling_epochs"]``, those of the
+        filter-only warm-up.
     length_m : float, optional
         Length of the task, in which the price of an alarm is counted: the displacement that
         matters, such as an alert limit; by default the scale of the observed displacement, 40 m.

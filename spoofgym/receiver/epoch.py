@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -321,6 +321,17 @@ def _seal_array(array: NDArray[Any]) -> NDArray[Any]:
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
     """C-contiguous copy in bytes that can't be changed, which costs hardly more than a view."""
     return np.ndarray(array.shape, array.dtype, array.tobytes())
+
+
+def select_receiver(epoch: Epoch, row: int) -> Epoch:
+    """Epoch of one receiver, whose fields have no axis of receivers."""
+    return Epoch(*(None if array is None else array[row] for array in epoch))  # type: ignore[arg-type]
+
+
+def stack_receivers(epochs: Sequence[Epoch]) -> Epoch:
+    """Epoch of B receivers from as many of one each; the reverse of `select_receiver`."""
+    columns = zip(*epochs, strict=True)
+    return Epoch(*(None if each[0] is None else frozen(np.stack(each)) for each in columns))  # type: ignore[arg-type]
 
 
 class EpochMaker:

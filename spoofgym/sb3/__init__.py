@@ -17,5 +17,13 @@ Install it with the extra ``train``.
 
 from .callbacks import RecordEpochs, ScoreCallback
 from .vec_env import DetectorWrapper, SpoofVecEnv
+from .wrappers import AlarmRecorder, PassiveDetector
 
-__all__ = ["DetectorWrapper", "RecordEpochs", "ScoreCallback", "SpoofVecEnv"]
+__all__ = [
+    "AlarmRecorder",
+    "DetectorWrapper",
+    "PassiveDetector",
+    "RecordEpochs",
+    "ScoreCallback",
+    "SpoofVecEnv",
+]

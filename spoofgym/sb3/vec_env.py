@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -32,6 +32,7 @@ from ..envs.options import (
 )
 from ..envs.scoring import PlainResult, StepResult
 from ..envs.terms import RewardSpec, make_terms
+from ..envs.wrappers.outside import report_verdict, warn_uncalibrated
 
 AT_THE_END = (
     "undetected_displacement_m",
@@ -163,6 +164,7 @@ class SpoofVecEnv(VecEnv):
         self._reset_options()
         with whole_reset(self):
             self.core.reset(self._rngs, given=given)
+        self._report_starts(range(self.num_envs))
         self._returns[:] = self._lengths[:] = 0
         self._actions = None
         return np.asarray(self.core.observe())
@@ -182,21 +184,36 @@ class SpoofVecEnv(VecEnv):
             raise RuntimeError("call step_async() before step_wait()")
         self._halfway = True
         result, observations = self.core.step(self._actions)
+        self.result = result
         self._actions = None
         self._returns += result.reward
         self._lengths += 1
         infos = self._each(result)
         over = result.terminated | result.truncated
         if over.any():
-            rows, info = np.flatnonzero(over), result.info
-            for row in rows.tolist():
-                infos[row] |= self._at_the_end(row, observations, info)
-                infos[row]["TimeLimit.truncated"] = bool(result.truncated[row])
-            self.core.reset([self._rngs[row] for row in rows], rows)
-            self._returns[rows] = self._lengths[rows] = 0
-            observations = self.core.observe()
+            observations = self.end_episodes(over, observations, infos)
         self._halfway = False
         return observations, result.reward.astype(np.float32), over, infos
+
+    def end_episodes(self, over: Array, observations: Array, infos: list[dict[str, Any]]) -> Array:
+        """End the episodes of some receivers, (B,) bool, after a step, and start the next ones.
+
+        A wrapper that ends episodes calls it with what `step_wait` has returned; `infos` are
+        completed.  Returns the first observations in place of the last ones, (B, o).
+        """
+        rows, info = np.flatnonzero(over), self.result.info
+        for row in rows.tolist():
+            infos[row] |= self._at_the_end(row, observations, info)
+            infos[row]["TimeLimit.truncated"] = bool(self.result.truncated[row])
+        self.core.reset([self._rngs[row] for row in rows], rows)
+        self._report_starts(rows.tolist())
+        self._returns[rows] = self._lengths[rows] = 0
+        return np.asarray(self.core.observe())
+
+    def _report_starts(self, rows: Iterable[int]) -> None:
+        self.starts = self.core.reset_info()
+        for row in rows:
+            self.reset_infos[row] = select_receiver_info(self.starts, row)
 
     def _at_the_end(self, row: int, observations: Array, info: dict[str, Array]) -> dict[str, Any]:
         return {
@@ -266,6 +283,11 @@ class SpoofVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
+def select_receiver_info(arrays: Mapping[str, Array], row: int) -> dict[str, Any]:
+    """Plain values of one receiver, by key."""
+    return {name: arrays[name][row : row + 1].tolist()[0] for name in arrays}
+
+
 SpoofVecEnv.__signature__ = expand_signature(SpoofVecEnv)
 
 
@@ -285,6 +307,8 @@ class DetectorWrapper(VecEnvWrapper):
     ) -> None:
         compose(venv, detector=detector, false_alarms_per_hour=false_alarms_per_hour)
         inner: Any = venv.unwrapped
+        setup = inner.core.setup
+        warn_uncalibrated(detector, setup.detector, false_alarms_per_hour, setup)
         rate = {"false_alarms_per_hour": false_alarms_per_hour} if false_alarms_per_hour else {}
         spec: Any = {"name": detector} if isinstance(detector, str) and rate else detector
         inner.env_kwargs["detector"] = {**spec, **rate} if isinstance(spec, Mapping) else spec
@@ -295,5 +319,10 @@ class DetectorWrapper(VecEnvWrapper):
         return self.venv.reset()
 
     def step_wait(self) -> Any:
-        """Run one epoch."""
-        return self.venv.step_wait()
+        """Run one epoch; with ``infos="all"`` they have ``statistic`` and ``threshold``."""
+        result = self.venv.step_wait()
+        if getattr(self.unwrapped, "_keys", None) is None:
+            verdict = report_verdict(self)
+            for row, info in enumerate(result[3]):
+                info |= select_receiver_info(verdict, row)
+        return result

@@ -1,5 +1,7 @@
 """Monitors: what looks at every epoch that is judged, and changes nothing; passive detectors.
 
+`EpochLog` hands the epochs out, for a detector outside of the environment.
+
 They live in the simulators, so that they see the warm-up and the time to alert, too, and go with
 their receivers when these are moved from one simulator to another.
 
@@ -20,7 +22,7 @@ from numpy.typing import NDArray
 from ..core.memory import Memory
 from ..detectors import DETECTORS, Calibrated, Detector, Verdict
 from ..detectors.base import check_needs, judge_epoch
-from ..receiver.epoch import Epoch
+from ..receiver.epoch import ALWAYS, Epoch, frozen, select_receiver
 from ._kernels import latest_reports
 
 FloatArray = NDArray[np.float64]
@@ -39,10 +41,12 @@ class Monitored(Protocol):
 
 class Monitor(ABC):
     """What looks at the epochs of a simulator; `memory` is all that it remembers of receivers.
-    `needs`: optional fields of `Epoch` that it reads, as of a `Detector`; `detectors`: its own."""
+    `needs`: optional fields of `Epoch` that it reads, as of a `Detector`; `detectors`: its own;
+    `from_start`: whether it is shown the filter-only warm-up, too, as they are (`watch`)."""
 
     needs: ClassVar[frozenset[str]] = frozenset()
     detectors: Sequence[Detector] = ()
+    from_start: bool = False
     memory: Memory
 
     @abstractmethod
@@ -56,11 +60,69 @@ class Monitor(ABC):
     def observe_update(self, simulator: Monitored) -> None:  # noqa: B027  (few need it)
         """Look at an epoch after the update."""
 
+    def watch(self, epoch: Epoch) -> None:  # noqa: B027  (few need it)
+        """See an epoch of the filter-only warm-up."""
+
     def start_episodes(self) -> None:
         self.memory.reset()
 
     def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
         self.memory.copy_rows(to, other.memory, rows)
+
+
+class EpochLog(Monitor):
+    """Epochs of every receiver since they were taken the last time, or since its episode began.
+    `needs`: optional fields that they have; `from_start`: whether the filter-only warm-up is
+    stored, too."""
+
+    def __init__(self, fields: Iterable[str] = (), *, from_start: bool = False) -> None:
+        self.needs = frozenset(fields)  # type: ignore[misc]
+        self.from_start = from_start
+
+    def bind(self, simulator: Monitored) -> None:
+        self.memory = Memory(simulator.receivers)
+        self.start_episodes()
+
+    def start_episodes(self) -> None:
+        rows = range(self.memory.receivers)
+        self._settling: list[list[tuple[Epoch, int]]] = [[] for _ in rows]
+        self._judged: list[list[tuple[Epoch, int]]] = [[] for _ in rows]
+
+    def watch(self, epoch: Epoch) -> None:
+        self._store(self._settling, epoch)
+
+    def update(self, simulator: Monitored) -> None:
+        self._store(self._judged, simulator.epoch)
+
+    def _store(self, to: list[list[tuple[Epoch, int]]], epoch: Epoch) -> None:
+        chosen = {name: getattr(epoch, name) for name in ALWAYS.union(self.needs)}
+        copied = Epoch(**{name: frozen(array) for name, array in chosen.items()})
+        for row, stored in enumerate(to):
+            stored.append((copied, row))
+
+    def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
+        for mine, theirs in zip(to.tolist(), rows.tolist(), strict=True):
+            self._settling[mine] = list(other._settling[theirs])
+            self._judged[mine] = list(other._judged[theirs])
+
+    def take(self) -> NDArray[Any]:
+        """(B,) tuples of the epochs of one receiver each, as `select_receiver` gives them."""
+        taken = _as_objects(self._judged)
+        self._judged = [[] for _ in taken]
+        return taken
+
+    def take_settling(self) -> NDArray[Any]:
+        """The same of the filter-only warm-up."""
+        taken = _as_objects(self._settling)
+        self._settling = [[] for _ in taken]
+        return taken
+
+
+def _as_objects(stored: list[list[tuple[Epoch, int]]]) -> NDArray[Any]:
+    taken = np.empty(len(stored), dtype=np.object_)
+    for row, epochs in enumerate(stored):
+        taken[row] = tuple(select_receiver(epoch, place) for epoch, place in epochs)
+    return taken
 
 
 class PassiveDetectors(Monitor):

@@ -385,11 +385,12 @@ class Simulator(ABC):
         return verdict
 
     def run_filter_only(self, count: int) -> None:
-        """Run epochs that are not judged. Detectors that see them `from_start` are shown them: that
-        in the loop, and those of the monitors."""
+        """Run epochs that are not judged. What sees them `from_start` is shown them: the detector
+        in the loop, the monitors, and the detectors of these."""
         self.weights = self.ones
         beside = (each for monitor in self.monitors for each in monitor.detectors)
-        watching = [each for each in (self.detector, *beside) if each.from_start]
+        readers: list[Detector | Monitor] = [self.detector, *beside, *self.monitors]
+        watching = [each for each in readers if each.from_start]
         if not watching:
             self._run_unseen(count)
             return

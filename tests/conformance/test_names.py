@@ -5,7 +5,15 @@ from collections import defaultdict
 
 from . import sources
 
-TWINS = {"DetectorWrapper", "RecordEpochs", "StealthBudget", "WatchWrapper"}
+TWINS = {
+    "AlarmRecorder",
+    "DetectorWrapper",
+    "EpochInfo",
+    "PassiveDetector",
+    "RecordEpochs",
+    "StealthBudget",
+    "WatchWrapper",
+}
 """The same thing for single environments, vectors and stable-baselines3."""
 HOUSE_WORDS = {"told", "nobody", "somebody", "everybody", "whom", "anew", "asked", "kept"}
 SETTINGS = {"kept"}  # of `AttackBudget`: names of settings are data

@@ -4,6 +4,7 @@ import json
 import math
 import os
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -140,3 +141,9 @@ def test_files(tmp_path):
         os.utime(path, (k, k))
         with pytest.raises(ValueError, match=message):
             Calibration.load(path)
+
+
+@pytest.mark.usefixtures("default_rate")
+def test_a_test_with_a_drift_term_that_hardly_alarms_is_marked():
+    with pytest.warns(UserWarning, match="cusum hardly ever alarms at an attack here: at 0.2 fal"):
+        gym.make("spoofgym/TightlyCoupled-v0", detector="cusum").close()

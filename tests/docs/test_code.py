@@ -30,6 +30,19 @@ def played(monkeypatch, capsys):
     return play_page
 
 
+def test_the_page_of_wrappers_checks_and_scores_its_detector(played):
+    short = f'detector="never", timeline={SHORT}'
+    smaller = [
+        ('detector="never"', short),
+        (r"env, 200", "env, 32, false_alarms_per_hour=10.0"),
+        ('"snapshot-chi2"', '{"name": "snapshot-chi2", "thresholds": "nominal"}'),
+    ]
+    _, lines = played("detector_wrapper.md", smaller=smaller)
+    assert lines[0].startswith("threshold x ")
+    assert len(lines) == 5
+    assert lines[-1].startswith("1 clean and 1 attacked episodes: ")
+
+
 @pytest.mark.parametrize(
     ("page", "needed"),
     [

@@ -47,6 +47,7 @@ def test_the_keys_of_the_information_are_those_of_the_table():
         end={"name": "at-displacement", "limit_m": 5.0},
         watch={"name": "cusum", "thresholds": "nominal"},
         twin=True,
+        epoch=True,
     )
     _, begun = env.reset(seed=0)
     info = env.step([0.0])[4]

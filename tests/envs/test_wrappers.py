@@ -3,6 +3,7 @@
 import itertools
 import json
 import pickle
+from contextlib import nullcontext
 from functools import partial
 
 import gymnasium as gym
@@ -11,7 +12,7 @@ import pytest
 
 from spoofgym.detectors import Detector, SnapshotChi2, Verdict
 from spoofgym.detectors.build import spec_of_judge
-from spoofgym.detectors.calibrated import STANDARD_RATE
+from spoofgym.detectors.calibrated import STANDARD_RATE, UncalibratedWarning
 from spoofgym.envs import wrappers
 from spoofgym.envs.wrappers import EpochRecorder
 from spoofgym.envs.wrappers import vector as vector_wrappers
@@ -71,7 +72,8 @@ def test_a_wrapper_is_the_same_as_its_argument(make, module):
     assert wrapped.observation_space == given.observation_space
     mine, theirs = transitions(wrapped), transitions(given)
     assert_same(mine[0], theirs[0])
-    assert set(mine[1][0]) == set(theirs[1][0])
+    added = set(mine[1][0]) - set(theirs[1][0])
+    assert {name.lstrip("_") for name in added} == {"statistic", "threshold"}
     with pytest.raises(RuntimeError, match="before reset"):
         module.WatchWrapper(wrapped, ["cusum"])
     with pytest.raises(ValueError, match="'ewma' and 'cusum'"):
@@ -107,7 +109,9 @@ def test_the_spec_of_a_wrapped_environment_makes_it_again():
 def test_the_detector_of_an_id_is_replaced(make, detector, rate, found):
     env = make("spoofgym/BenchT3-v1")  # which brings one of its own, solution separation
     module = wrappers if make is gym.make else vector_wrappers
-    env = module.DetectorWrapper(env, detector, false_alarms_per_hour=rate)
+    own = pytest.warns(UncalibratedWarning, match="`spoofgym calibrate .* snapshot-chi2 --false-al")
+    with nullcontext() if found else own:
+        env = module.DetectorWrapper(env, detector, false_alarms_per_hour=rate)
     spec = spec_of_judge(env.unwrapped.core.setup.detector)
     assert (spec["name"], spec.get("false_alarms_per_hour")) == ("snapshot-chi2", found)
     with pytest.raises(ValueError, match="two detectors are set at once"):

@@ -1,7 +1,9 @@
 """Wrappers of the single environment; `vector` has their twins of the same names.
 
-All but `RecordEpochs` only set something in the engine before the first episode: nothing outside
-could sit between the halves of an epoch.  So each is the same as an argument of the environment.
+`DetectorWrapper`, `WatchWrapper`, `StealthBudget` and `EpochInfo` only set something in the engine
+before the first episode: nothing outside could sit between the halves of an epoch.  So each is the
+same as an argument of the environment.  A detector that only looks may be outside:
+`PassiveDetector`, or any wrapper around an `EpochInfo`.
 
 A file of recorded epochs holds those of the commands: neither the warm-up, nor the time to alert
 after the last one.  It is written as a whole when its episode is over, so that a run that is broken
@@ -26,9 +28,10 @@ from numpy.typing import NDArray
 from ...core.files import remove_stale_parts, write_file
 from ...detectors import Verdict
 from ...detectors.build import DetectorSpec
-from ..core import SpoofCore, WatchSpec
+from ..core import EpochSpec, SpoofCore, WatchSpec
 from ..factory import composable, compose
 from ..terms.termination import AtStealthBudget, EpochState
+from .outside import OutsideDetector, report_verdict, warn_uncalibrated
 
 Observation = NDArray[np.float32]
 Env = gym.Env[Observation, Observation]
@@ -36,7 +39,14 @@ _Base = gym.Wrapper[Observation, Observation, Observation, Observation]
 Array = NDArray[Any]
 FIRST = np.zeros(1, dtype=np.intp)
 PATTERN = re.compile(r"receiver-(\d+)-episode-(\d+)\.parquet")
-__all__ = ["DetectorWrapper", "RecordEpochs", "StealthBudget", "WatchWrapper"]
+__all__ = [
+    "DetectorWrapper",
+    "EpochInfo",
+    "PassiveDetector",
+    "RecordEpochs",
+    "StealthBudget",
+    "WatchWrapper",
+]
 
 
 class EpochRecorder:
@@ -126,11 +136,23 @@ def _as_parquet(columns: dict[str, list[Array]], head: dict[str, Any]) -> bytes:
     return buffer.getvalue()
 
 
+def require_single(env: Any, wrapper: type) -> None:
+    """Name the twin of a wrapper where the environment is a vector of receivers."""
+    if not isinstance(env, gym.Env):
+        kind = "wrappers.vector" if isinstance(env, gym.vector.VectorEnv) else "sb3"
+        raise TypeError(
+            f"`env` must be a single environment, got {env!r}; its twin for that is "
+            f"`spoofgym.{kind}.{wrapper.__name__}`"
+        )
+
+
 class DetectorWrapper(_Base, RecordConstructorArgs):
     """Sets the detector in the loop, as the argument ``detector=`` does.
 
     It takes the place of the detector that the environment's id brings.  `wrappers.vector` has the
-    same for vector environments, `spoofgym.sb3` for that of stable-baselines3.
+    same for vector environments, `spoofgym.sb3` for that of stable-baselines3.  The information
+    has ``statistic`` and ``threshold`` of the last epoch, of the channel whose ratio is largest.
+    An object that plays with its own thresholds is warned of (`UncalibratedWarning`).
 
     Parameters
     ----------
@@ -168,8 +190,119 @@ class DetectorWrapper(_Base, RecordConstructorArgs):
         RecordConstructorArgs.__init__(
             self, detector=detector, false_alarms_per_hour=false_alarms_per_hour
         )
+        require_single(env, DetectorWrapper)
         gym.Wrapper.__init__(self, env)
         compose(env, detector=detector, false_alarms_per_hour=false_alarms_per_hour)
+        setup = composable(env).core.setup
+        warn_uncalibrated(detector, setup.detector, false_alarms_per_hour, setup)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode; the verdict is that of the last epoch before the onset."""
+        observation, info = super().reset(seed=seed, options=options)
+        return observation, {**info, **first_values(report_verdict(self))}
+
+    def step(self, action: Observation) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
+        """Give one command, and report the verdict of the last epoch."""
+        result = super().step(action)
+        result[4].update(first_values(report_verdict(self)))
+        return result
+
+
+def first_values(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """Values of the one receiver of a single environment."""
+    return {name: array.item() for name, array in arrays.items()}
+
+
+class EpochInfo(_Base, RecordConstructorArgs):
+    """Adds ``info["epochs"]``, as the argument ``epoch=`` does.
+
+    All epochs since the last call in order, `Epoch` of one receiver each: after a reset those of
+    the monitored start, in the last step also those of the time to alert.  So a detector that only
+    looks can be any wrapper around this one.
+
+    Parameters
+    ----------
+    env : Env
+        A `SpoofEnv`, wrapped or not, not reset yet.
+    epoch : bool or sequence of str
+        True for all fields that the receiver has, or names of the optional ones.
+    """
+
+    def __init__(self, env: Env, epoch: EpochSpec = True) -> None:
+        RecordConstructorArgs.__init__(self, epoch=epoch)
+        require_single(env, EpochInfo)
+        gym.Wrapper.__init__(self, env)
+        compose(env, epoch=epoch)
+
+
+class PassiveDetector(_Base, RecordConstructorArgs):
+    """Lets a detector judge from outside of the loop, with the verdicts that it has within.
+
+    The information has, of all epochs since the last call, ``alarm``, ``alarm_time_s`` of the first
+    one (NaN without), and ``statistic`` and ``threshold`` where their ratio is largest.  A detector
+    that the id brings is replaced by ``never``; one that an argument or a wrapper has set stays.
+    Rewards are those of the environment: the price of an alarm is for that in the loop.
+
+    Parameters
+    ----------
+    env : Env
+        A `SpoofEnv`, wrapped or not, not reset yet.
+    detector, false_alarms_per_hour
+        As in `DetectorWrapper`; the detector must not de-weight measurements.
+    end : bool
+        Whether an alarm after the onset ends the episode.
+
+    Raises
+    ------
+    ValueError
+        When the detector de-weights measurements, draws, or can't judge this victim.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import spoofgym
+    >>> from spoofgym.wrappers import PassiveDetector
+    >>> env = PassiveDetector(gym.make("spoofgym/TightlyCoupled-v0"), "snapshot-chi2")
+    >>> observation, info = env.reset(seed=1)
+    >>> info["alarm"]
+    False
+    >>> env.close()
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        detector: DetectorSpec,
+        *,
+        false_alarms_per_hour: float | None = None,
+        end: bool = True,
+    ) -> None:
+        rate = false_alarms_per_hour
+        RecordConstructorArgs.__init__(self, detector=detector, false_alarms_per_hour=rate, end=end)
+        require_single(env, PassiveDetector)
+        gym.Wrapper.__init__(self, env)
+        self.judge, self.end = OutsideDetector(env, detector, rate), end
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode, and judge its monitored start."""
+        observation, info = super().reset(seed=seed, options=options)
+        return observation, {**info, **self._judge(info, fresh=True)}
+
+    def step(self, action: Observation) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
+        """Give one command, and judge its epochs."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        info.update(self._judge(info, fresh=False))
+        return observation, reward, terminated or (self.end and info["alarm"]), truncated, info
+
+    def _judge(self, info: dict[str, Any], *, fresh: bool) -> dict[str, Any]:
+        epochs: dict[str, Any] = {
+            name: [info[name]] for name in ("epochs", "settling_epochs") if name in info
+        }
+        return first_values(self.judge.judge(epochs, np.array([fresh])))
 
 
 class WatchWrapper(_Base, RecordConstructorArgs):

@@ -11,14 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
 from ...detectors.build import DetectorSpec
-from ..core import WatchSpec
+from ..core import EpochSpec, WatchSpec
 from ..factory import composable, compose
 from ..options import Array, read_mask
 from ..terms.termination import AtStealthBudget
 from . import EpochRecorder
+from .outside import OutsideDetector, report_verdict, warn_uncalibrated
 
 Envs = VectorEnv[Array, Array, Array]
 if TYPE_CHECKING:
@@ -27,14 +28,100 @@ else:
     Wrapper = VectorWrapper  # not generic before Gymnasium 1.4
 
 
+def report(info: dict[str, Any], arrays: dict[str, Array]) -> None:
+    """Add (B,) arrays to the information, of all receivers."""
+    for name, array in arrays.items():
+        info[name], info[f"_{name}"] = array, np.ones(len(array), dtype=np.bool_)
+
+
+def require_separate_resets(inner: Any, wrapper: type) -> None:
+    """Refuse an environment in which the last step of an episode and the next start are one."""
+    if inner.autoreset_mode is AutoresetMode.SAME_STEP or inner.infos != "all":
+        raise ValueError(
+            f"{wrapper.__name__} needs infos='all' and an `autoreset_mode` 'next_step' or "
+            f"'disabled', got {inner.infos!r} and {inner.autoreset_mode.name.lower()!r}"
+        )
+
+
 class DetectorWrapper(Wrapper):
-    """As `wrappers.DetectorWrapper`, of all receivers."""
+    """As `wrappers.DetectorWrapper`, of all receivers. The verdicts are in the information where
+    the environment hands out all of it."""
 
     def __init__(
         self, env: Envs, detector: DetectorSpec, *, false_alarms_per_hour: float | None = None
     ) -> None:
         super().__init__(env)
         compose(env, detector=detector, false_alarms_per_hour=false_alarms_per_hour)
+        setup = composable(env).core.setup
+        warn_uncalibrated(detector, setup.detector, false_alarms_per_hour, setup)
+        self._reports = composable(env).infos == "all"
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Array, dict[str, Any]]:
+        observation, info = super().reset(seed=seed, options=options)  # type: ignore[arg-type]
+        if self._reports:
+            report(info, report_verdict(self))
+        return observation, info
+
+    def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+        result = super().step(actions)
+        if self._reports:
+            report(result[4], report_verdict(self))
+        return result
+
+
+class EpochInfo(Wrapper):
+    """As `wrappers.EpochInfo`, of all receivers: ``info["epochs"]`` (B,) has a tuple of each."""
+
+    def __init__(self, env: Envs, epoch: EpochSpec = True) -> None:
+        super().__init__(env)
+        compose(env, epoch=epoch)
+
+
+class PassiveDetector(Wrapper):
+    """As `wrappers.PassiveDetector`, of all receivers. With ``same_step`` autoreset an alarm could
+    not end an episode, which is refused."""
+
+    def __init__(
+        self,
+        env: Envs,
+        detector: DetectorSpec,
+        *,
+        false_alarms_per_hour: float | None = None,
+        end: bool = True,
+    ) -> None:
+        super().__init__(env)
+        self.judge, self.end = OutsideDetector(env, detector, false_alarms_per_hour), end
+        require_separate_resets(composable(env), PassiveDetector)
+        self._over = np.zeros(env.num_envs, dtype=np.bool_)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Array, dict[str, Any]]:
+        mask = read_mask(options, self.num_envs)
+        fresh = np.ones_like(self._over) if mask is None else mask
+        observation, info = super().reset(seed=seed, options=options)  # type: ignore[arg-type]
+        self._over &= ~fresh
+        report(info, self.judge.judge(info, fresh))
+        return observation, info
+
+    def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = super().step(actions)
+        fresh = self._over
+        report(info, self.judge.judge(info, fresh))
+        if self.end:
+            alarm = info["alarm"] & ~fresh
+            self.unwrapped.end_episodes(alarm)  # type: ignore[attr-defined]
+            terminated = terminated | alarm
+        self._over = terminated | truncated
+        return observation, reward, terminated, truncated, info
 
 
 class WatchWrapper(Wrapper):

@@ -1,0 +1,31 @@
+"""Detectors as Gymnasium wrappers: ready ones, a recorder of alarms, a check, and a score.
+
+`vector` has the twins for vector environments, and `spoofgym.sb3` those for stable-baselines3.
+"""
+
+from ..envs.wrappers import (
+    DetectorWrapper,
+    EpochInfo,
+    PassiveDetector,
+    RecordEpochs,
+    StealthBudget,
+    WatchWrapper,
+)
+from .alarms import AlarmRecorder, AlarmSummary
+from .check import check_wrapper
+from .evaluate import AttackOutcome, WrappedScore, evaluate_wrapped
+
+__all__ = [
+    "AlarmRecorder",
+    "AlarmSummary",
+    "AttackOutcome",
+    "DetectorWrapper",
+    "EpochInfo",
+    "PassiveDetector",
+    "RecordEpochs",
+    "StealthBudget",
+    "WatchWrapper",
+    "WrappedScore",
+    "check_wrapper",
+    "evaluate_wrapped",
+]

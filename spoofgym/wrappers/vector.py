@@ -1,0 +1,77 @@
+"""Twins of the wrappers for vector environments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..envs.factory import composable
+from ..envs.options import Array, read_mask
+from ..envs.wrappers.vector import (
+    DetectorWrapper,
+    Envs,
+    EpochInfo,
+    PassiveDetector,
+    RecordEpochs,
+    StealthBudget,
+    WatchWrapper,
+    Wrapper,
+    require_separate_resets,
+)
+from .alarms import AlarmLog
+
+__all__ = [
+    "AlarmRecorder",
+    "DetectorWrapper",
+    "EpochInfo",
+    "PassiveDetector",
+    "RecordEpochs",
+    "StealthBudget",
+    "WatchWrapper",
+]
+
+
+class AlarmRecorder(Wrapper):
+    """As `wrappers.AlarmRecorder`, of all receivers; not with ``same_step`` autoreset."""
+
+    def __init__(self, env: Envs) -> None:
+        super().__init__(env)
+        require_separate_resets(composable(env, unset=False), AlarmRecorder)
+        self.alarms = AlarmLog(env)
+        self._over = np.zeros(env.num_envs, dtype=np.bool_)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Array, dict[str, Any]]:
+        mask = read_mask(options, self.num_envs)
+        observation, info = super().reset(seed=seed, options=options)  # type: ignore[arg-type]
+        for row in range(self.num_envs) if mask is None else np.flatnonzero(mask).tolist():
+            self.alarms.start(row, select_row(info, row))
+            self._over[row] = False
+        return observation, info
+
+    def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+        result = super().step(actions)
+        over = result[2] | result[3]
+        for row in range(self.num_envs):
+            now = select_row(result[4], row)
+            if self._over[row]:
+                self.alarms.start(row, now)
+            else:
+                self.alarms.add(row, actions[row], now, bool(over[row]))
+        self._over = over
+        return result
+
+
+def select_row(info: dict[str, Any], row: int) -> dict[str, Any]:
+    """Information of one receiver, of that of all."""
+    return {
+        name: array[row]
+        for name, array in info.items()
+        if not name.startswith("_") and info.get(f"_{name}", [False] * (row + 1))[row]
+    }
