@@ -196,10 +196,23 @@ class SpoofVecEnv(VecEnv):
         return observations, result.reward.astype(np.float32), over, infos
 
     def end_episodes(self, over: Array, observations: Array, infos: list[dict[str, Any]]) -> Array:
-        """End the episodes of some receivers, (B,) bool, after a step, and start the next ones.
+        """End the episodes of some receivers after a step, and start the next ones.
 
-        A wrapper that ends episodes calls it with what `step_wait` has returned; `infos` are
-        completed.  Returns the first observations in place of the last ones, (B, o).
+        A wrapper that ends episodes calls it with what `step_wait` has returned.
+
+        Parameters
+        ----------
+        over : ndarray
+            (B,) bool, whose episodes end.
+        observations : ndarray
+            (B, o) the last ones.
+        infos : list of dict
+            Of the step, which are completed.
+
+        Returns
+        -------
+        ndarray
+            (B, o) the first observations of the next episodes in their place.
         """
         rows, info = np.flatnonzero(over), self.result.info
         for row in rows.tolist():

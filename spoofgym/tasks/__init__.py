@@ -79,7 +79,22 @@ def get_task(key: str) -> Task:
 
 
 def get_detector_task(key: str) -> DetectorTask:
-    """Task for detectors by its key, ``"D1"`` to ``"D3"``, or ``"v1/D1"`` to ``"v1/D4"`` of the
-    first suite; a ValueError lists the valid ones."""
+    """Task for detectors by its key.
+
+    Parameters
+    ----------
+    key : str
+        ``"D1"`` to ``"D3"``, or ``"v1/D1"`` to ``"v1/D4"`` of the first suite.
+
+    Returns
+    -------
+    DetectorTask
+        The task.
+
+    Raises
+    ------
+    ValueError
+        Without such a task; the valid ones are listed.
+    """
     check_choice("task for detectors", key, DETECTOR_TASKS)
     return DETECTOR_TASKS[key]
