@@ -220,6 +220,7 @@ def shown() -> str:
         scores=tasks.TASK_SCORES.markdown(tasks.task_rows()),
         admission=tasks.ADMISSION.markdown(tasks.admission_rows()),
         cards={key: card for key, card in tasks.stored_cards().items() if key in PLAYED},
+        missing={key: command for key, command in tasks.missing().items() if key in PLAYED},
     )
 
 
