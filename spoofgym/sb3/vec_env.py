@@ -198,8 +198,21 @@ class SpoofVecEnv(VecEnv):
     def end_episodes(self, over: Array, observations: Array, infos: list[dict[str, Any]]) -> Array:
         """End the episodes of some receivers, (B,) bool, after a step, and start the next ones.
 
-        A wrapper that ends episodes calls it with what `step_wait` has returned; `infos` are
-        completed.  Returns the first observations in place of the last ones, (B, o).
+        A wrapper that ends episodes calls it with what `step_wait` has returned.
+
+        Parameters
+        ----------
+        over : ndarray
+            (B,) bool, which ones.
+        observations : ndarray
+            (B, o), the last ones.
+        infos : list of dict
+            Of the step; what an episode's last step has is added.
+
+        Returns
+        -------
+        ndarray
+            (B, o), where an episode is over the first ones of the next.
         """
         rows, info = np.flatnonzero(over), self.result.info
         for row in rows.tolist():
