@@ -17,7 +17,6 @@ from typing import Any
 from spoofgym.bench.experiments.calibration import calibrate
 from spoofgym.bench.experiments.suite import list_task_detectors
 from spoofgym.bench.runs.world import HEADLINE_DOMAIN, VICTIMS
-from spoofgym.calibration.clean_runs import weighs
 from spoofgym.calibration.thresholds import WEIGHING_RUNS, inner_detectors, suitable_detectors
 from spoofgym.core.progress import show_progress
 from spoofgym.core.registry import check_choice
@@ -26,6 +25,7 @@ from spoofgym.detectors.calibration_file import SHIPPED_FOLDER
 from spoofgym.envs.factory import make_setup
 from spoofgym.envs.spoofer_binding import ENV_ID
 from spoofgym.simulation.setup import Setup
+from spoofgym.simulation.simulator import weighs
 from spoofgym.tasks import DETECTOR_TASKS, PAPERS, RANGE_RATE_TESTS, TASKS
 
 RANDOM_START = {"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"}

@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 from agents.folder import write_json
 from spoofgym.bench.experiments.calibration import hold_out, transfer
 from spoofgym.bench.report.table import Table
-from spoofgym.calibration.clean_runs import weighs
 from spoofgym.calibration.holdouts import HOLDOUT_WEIGHING
 from spoofgym.core.progress import show_progress
 from spoofgym.detectors import Calibration, Detector
 from spoofgym.detectors.calibrated import STANDARD_RATE, describe_identity
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, hourly_rate, load_stored
 from spoofgym.simulation.setup import Setup
+from spoofgym.simulation.simulator import weighs
 from tools.calibrations import HEADLINES, build_setup, list_detectors
 from tools.pages import DOCS, put_between, render_page
 

@@ -24,7 +24,7 @@ from ..detectors.base import judge_epoch
 from ..simulation.engine import available_threads
 from ..simulation.monitors import Monitor, Monitored, PassiveDetectors
 from ..simulation.setup import Setup, make_generators, seeds_of_runs
-from ..simulation.simulator import Simulator, run_serially
+from ..simulation.simulator import Simulator, run_serially, weighs
 
 FloatArray = NDArray[np.float64]
 Numbers = Sequence[int] | NDArray[np.int64]
@@ -84,15 +84,6 @@ class RunMaxima(PassiveDetectors):
         found = self.memory["ratio"].copy(), self.memory["alarmed"].copy()
         self.memory.reset()
         return found
-
-
-def weighs(setup: Setup, detector: Detector) -> bool:
-    """Whether a detector de-weights measurements in this world: its first verdict says so."""
-    simulator: Simulator = setup.copy_with(detector=detector, monitors=()).simulator(
-        1, run_serially
-    )
-    simulator.switch_on(make_generators(seeds_of_runs(0, "calibration", setup.name, [0])))
-    return simulator.step(attacked=False).weights is not None
 
 
 def plan_passes(setup: Setup, detectors: Sequence[Detector]) -> list[tuple[list[int], bool]]:

@@ -33,7 +33,7 @@ from ..detectors.calibrated import resolve_thresholds
 from ..receiver.epoch import Epoch
 from .domain import Choice, FloatArray, apply_choices, draw
 from .monitors import Monitor
-from .setup import Run, Setup
+from .setup import Run, Setup, make_generators, seeds_of_runs
 
 Rows = NDArray[np.intp]
 Rngs = Sequence[np.random.Generator]
@@ -585,6 +585,14 @@ def domain_keys(episodes: Sequence[np.random.SeedSequence]) -> NDArray[np.uint64
 
 def run_serially(work: Callable[[int, int], None], receivers: int) -> None:
     work(0, receivers)
+
+
+def weighs(setup: Setup, detector: Detector) -> bool:
+    """Whether a detector de-weights measurements in this world: its first verdict says so."""
+    chosen = setup.copy_with(detector=detector, monitors=())
+    simulator: Simulator = chosen.simulator(1, run_serially)
+    simulator.switch_on(make_generators(seeds_of_runs(0, "calibration", setup.name, [0])))
+    return simulator.step(attacked=False).weights is not None
 
 
 def detector_name(detector: Detector) -> str:

@@ -9,36 +9,23 @@ import numpy as np
 
 from ..envs.factory import composable
 from ..envs.options import Array, read_mask
-from ..envs.wrappers.vector import (
-    DetectorWrapper,
-    Envs,
-    EpochInfo,
-    PassiveDetector,
-    RecordEpochs,
-    StealthBudget,
-    WatchWrapper,
-    Wrapper,
-    require_separate_resets,
-)
+from ..envs.wrappers import vector as twins
 from .alarms import AlarmLog
 
-__all__ = [
-    "AlarmRecorder",
-    "DetectorWrapper",
-    "EpochInfo",
-    "PassiveDetector",
-    "RecordEpochs",
-    "StealthBudget",
-    "WatchWrapper",
-]
+DetectorWrapper = twins.DetectorWrapper
+EpochInfo = twins.EpochInfo
+PassiveDetector = twins.PassiveDetector
+RecordEpochs = twins.RecordEpochs
+StealthBudget = twins.StealthBudget
+WatchWrapper = twins.WatchWrapper
 
 
-class AlarmRecorder(Wrapper):
+class AlarmRecorder(twins.Wrapper):
     """As `wrappers.AlarmRecorder`, of all receivers; not with ``same_step`` autoreset."""
 
-    def __init__(self, env: Envs) -> None:
+    def __init__(self, env: twins.Envs) -> None:
         super().__init__(env)
-        require_separate_resets(composable(env, unset=False), AlarmRecorder)
+        twins.require_separate_resets(composable(env, unset=False), AlarmRecorder)
         self.alarms = AlarmLog(env)
         self._over = np.zeros(env.num_envs, dtype=np.bool_)
 

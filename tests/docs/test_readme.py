@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from spoofgym.detectors.calibrated import UncalibratedWarning
 from spoofgym.simulation.setup import Timeline
 from spoofgym.tasks import RANGE_RATE_TESTS, get_task
 from spoofgym.testing import check_detector
@@ -45,7 +46,8 @@ def saved(monkeypatch):
 
 def test_every_block_of_code_runs_and_prints_what_stands_there(capsys, monkeypatch, saved):
     pytest.importorskip("stable_baselines3")
-    play("README.md", monkeypatch, SMALLER)
+    with pytest.warns(UncalibratedWarning, match="AverageRate plays uncalibrated, with its own"):
+        play("README.md", monkeypatch, SMALLER)
     printed = capsys.readouterr().out.splitlines()
     assert len(printed) == 5  # the last three: what was trained, and its rivals on the same runs
     assert re.findall(r"It prints `(.*?)`", README) == printed[:2]

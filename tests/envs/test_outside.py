@@ -6,10 +6,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.calibration.clean_runs import weighs
 from spoofgym.detectors import DETECTORS, Calibrated, make_detector
 from spoofgym.envs import wrappers
 from spoofgym.envs.wrappers import vector as vector_wrappers
+from spoofgym.simulation.simulator import weighs
 
 from .support import HOLD, LIVE, STEPS, single, vector, victim
 

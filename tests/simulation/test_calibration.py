@@ -10,7 +10,7 @@ from scipy.stats import betabinom
 from spoofgym.bench.report.results import print_hold_outs
 from spoofgym.bench.runs.world import VICTIMS
 from spoofgym.calibration import thresholds as calibration
-from spoofgym.calibration.clean_runs import Player, weighs
+from spoofgym.calibration.clean_runs import Player
 from spoofgym.calibration.holdouts import HoldOut, check, hold_out, transfer
 from spoofgym.calibration.thresholds import bisect, calibrate_detectors, suitable_detectors
 from spoofgym.detectors import Calibrated, Cusum, Ewma, make_detector
@@ -18,7 +18,7 @@ from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, TOLERANCE, hour
 from spoofgym.envs import SpoofEnv, SpoofVectorEnv
 from spoofgym.envs.factory import make_setup
 from spoofgym.simulation import Engine, SnapshotSetup, TightlyCoupledSetup
-from spoofgym.simulation.simulator import run_serially
+from spoofgym.simulation.simulator import run_serially, weighs
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
 RATE = 10.0

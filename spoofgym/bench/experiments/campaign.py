@@ -15,10 +15,10 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-from ...calibration.clean_runs import weighs
 from ...core.progress import ProgressCallback
 from ...core.settings import compute_digest
 from ...detectors.calibrated import resolve_thresholds
+from ...simulation.simulator import weighs
 from ..runs.panel import Panel, PanelAttack, play_searches
 from ..runs.players import PlayerSpec, describe_knowledge
 from ..runs.record import MEASURES, Protection, RunRecord, record_runs

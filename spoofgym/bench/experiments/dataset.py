@@ -27,7 +27,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...calibration.clean_runs import check_stopped, map_ordered, weighs
+from ...calibration.clean_runs import check_stopped, map_ordered
 from ...calibration.thresholds import inner_detectors
 from ...core.declared import setting, settings_record
 from ...core.registry import Spec, check_choice, whole_number
@@ -41,7 +41,7 @@ from ...envs.observer import Observer
 from ...simulation.engine import Engine
 from ...simulation.monitors import PassiveDetectors
 from ...simulation.setup import SPLITS, Setup, make_generators, seeds_of_runs
-from ...simulation.simulator import Simulator, run_serially
+from ...simulation.simulator import Simulator, run_serially, weighs
 from ..runs.play import horizontal, list_attack_epochs, to_local
 from .runner import Context, Experiment
 from .store import Cell, Reader, Result, Store

@@ -21,7 +21,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...calibration.clean_runs import weighs
 from ...core.progress import NullProgress, ProgressCallback
 from ...core.registry import check_choice, check_keywords, whole_number
 from ...core.settings import compute_digest, outside_sources
@@ -31,6 +30,7 @@ from ...envs.terms.observation import REPORTED
 from ...policies.card import DETECTOR, SPOOFER
 from ...simulation.monitors import PastPositions
 from ...simulation.setup import SPLITS, Setup
+from ...simulation.simulator import weighs
 from ...tasks import get_task
 from ..runs.panel import Panel, PanelAttack
 from ..runs.players import Mixture, PlayerSpec, Strategy, specify_strategy

@@ -15,7 +15,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-from ...calibration.clean_runs import weighs
 from ...core.progress import NullProgress, ProgressBar, ProgressCallback
 from ...core.registry import whole_number
 from ...core.settings import compute_digest, describe, outside_sources
@@ -23,6 +22,7 @@ from ...detectors import Calibrated, Detector, LearnedDetector, detector_in_worl
 from ...detectors.calibrated import list_factors, resolve_thresholds
 from ...envs.spoofer_binding import spoofer_context
 from ...simulation.setup import Setup
+from ...simulation.simulator import weighs
 from ...tasks import (
     ANTENNA_PARTS,
     CANDIDATES,

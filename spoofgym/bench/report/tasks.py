@@ -233,7 +233,6 @@ TASK_LIST = Table(
 DETECTOR_TASK_LIST = Table(
     ("task", itemgetter(0)),
     ("suite", lambda row: row[1].suite),
-    ("suite", lambda row: row[1].suite),
     ("environment of a learner", lambda row: row[1].env_id),
     ("world", lambda row: row[1].title),
     ("families that are held out", lambda row: ", ".join(family.key for family in row[1].held_out)),
@@ -243,10 +242,12 @@ DETECTOR_TASK_LIST = Table(
 def print_tasks() -> None:
     """Print all tasks, with the scores that are known."""
     TASK_LIST.print("for spoofers", TASKS.items())
-    TASK_SCORES.print("stealthy displacement", task_rows())
-    ADMISSION.print("admission", admission_rows())
+    if rows := task_rows():
+        TASK_SCORES.print("stealthy displacement", rows)
+        ADMISSION.print("admission", admission_rows())
     DETECTOR_TASK_LIST.print("for detectors", DETECTOR_TASKS.items())
-    CARDS.print("protection", list_score_rows(stored_detector_cards()))
+    if cards := stored_detector_cards():
+        CARDS.print("protection", list_score_rows(cards))
     for key, command in missing().items():
         print(f"{key} has no reference scores yet: {command}")
 

@@ -28,11 +28,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from ...calibration.clean_runs import weighs
 from ...core.declared import setting, settings_record
 from ...limits.response import NotReplayable, Replay, check_replayable
 from ...simulation.domain import draw
 from ...simulation.setup import Setup, seed_sequences
+from ...simulation.simulator import weighs
 from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.profile import MOST_KNOTS, sample_curve
 from ..runs.panel import Panel, play_searches

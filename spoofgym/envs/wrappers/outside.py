@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...calibration.clean_runs import weighs
 from ...detectors import Calibrated, Detector, Verdict, detector_in_world
 from ...detectors.base import judge_epoch
 from ...detectors.build import DetectorSpec
 from ...detectors.calibrated import STANDARD_RATE, UncalibratedWarning, calibration_command
 from ...receiver.epoch import Epoch, stack_receivers
 from ...simulation.domain import FloatArray
+from ...simulation.simulator import weighs
 from ..core import SETTLING
 from ..factory import brings_detector, composable, compose
 from ..scoring import Info, Mask

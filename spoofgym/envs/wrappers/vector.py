@@ -28,7 +28,7 @@ else:
     Wrapper = VectorWrapper  # not generic before Gymnasium 1.4
 
 
-def report(info: dict[str, Any], arrays: dict[str, Array]) -> None:
+def add_to_info(info: dict[str, Any], arrays: dict[str, Array]) -> None:
     """Add (B,) arrays to the information, of all receivers."""
     for name, array in arrays.items():
         info[name], info[f"_{name}"] = array, np.ones(len(array), dtype=np.bool_)
@@ -64,13 +64,13 @@ class DetectorWrapper(Wrapper):
     ) -> tuple[Array, dict[str, Any]]:
         observation, info = super().reset(seed=seed, options=options)  # type: ignore[arg-type]
         if self._reports:
-            report(info, report_verdict(self))
+            add_to_info(info, report_verdict(self))
         return observation, info
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         result = super().step(actions)
         if self._reports:
-            report(result[4], report_verdict(self))
+            add_to_info(result[4], report_verdict(self))
         return result
 
 
@@ -109,13 +109,13 @@ class PassiveDetector(Wrapper):
         fresh = np.ones_like(self._over) if mask is None else mask
         observation, info = super().reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._over &= ~fresh
-        report(info, self.judge.judge(info, fresh))
+        add_to_info(info, self.judge.judge(info, fresh))
         return observation, info
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         observation, reward, terminated, truncated, info = super().step(actions)
         fresh = self._over
-        report(info, self.judge.judge(info, fresh))
+        add_to_info(info, self.judge.judge(info, fresh))
         if self.end:
             alarm = info["alarm"] & ~fresh
             self.unwrapped.end_episodes(alarm)  # type: ignore[attr-defined]
