@@ -196,35 +196,23 @@ class SpoofVecEnv(VecEnv):
         return observations, result.reward.astype(np.float32), over, infos
 
     def end_episodes(self, over: Array, observations: Array, infos: list[dict[str, Any]]) -> Array:
-        """End the episodes of some receivers after a step, and start the next ones.
+        """End the episodes of some receivers, (B,) bool, after a step, and start the next ones.
 
         A wrapper that ends episodes calls it with what `step_wait` has returned.
 
         Parameters
         ----------
         over : ndarray
-        <<<<<<< HEAD
-            (B,) bool, whose episodes end.
-        observations : ndarray
-            (B, o) the last ones.
-        infos : list of dict
-            Of the step, which are completed.
-        =======
             (B,) bool, which ones.
         observations : ndarray
             (B, o), the last ones.
         infos : list of dict
             Of the step; what an episode's last step has is added.
-        >>>>>>> 5d99bb2df6699977b757e2656382c4004f3fcd14
 
         Returns
         -------
         ndarray
-        <<<<<<< HEAD
-            (B, o) the first observations of the next episodes in their place.
-        =======
             (B, o), where an episode is over the first ones of the next.
-        >>>>>>> 5d99bb2df6699977b757e2656382c4004f3fcd14
         """
         rows, info = np.flatnonzero(over), self.result.info
         for row in rows.tolist():
