@@ -38,6 +38,10 @@ RUNS: dict[str, dict[str, Any]] = {
         "attack": {"name": "per-channel", **EQUIPMENT},
         "receiver": {"covariance_update": "general"},
     },
+    "offsets, all equipment": {
+        "scenario": "trolley",
+        "attack": {"name": "offsets", "basis": "rotated", **EQUIPMENT},
+    },
     "meaconer, all equipment": {
         "scenario": "trolley-tactical",
         "attack": {"name": "meaconer", "antenna_m": [0.0, 20.0, -5.0], **MEACONER},

@@ -44,7 +44,7 @@ from spoofgym.bench.experiments.best_response import (
 )
 from spoofgym.bench.experiments.calibration import calibrate
 from spoofgym.bench.experiments.game import Game
-from spoofgym.bench.experiments.suite import list_world_detectors, order_detectors
+from spoofgym.bench.experiments.suite import list_task_detectors
 from spoofgym.bench.runs.players import (
     DETECTOR,
     SPOOFER,
@@ -204,7 +204,7 @@ class DoubleOracle:
         rate = {"false_alarms_per_hour": self.args.false_alarms_per_hour}
         specs: list[dict[str, Any]] = [parse_spec(text) for text in self.args.detectors]
         if not specs:
-            everyone = order_detectors(list_world_detectors(self.game.setup, rescaled=True))
+            everyone = list_task_detectors(get_task(self.args.task))
             specs = [{**rate, **each} for each in everyone if each not in CONTROLS]
         members, left_out = [], []
         for spec in specs:

@@ -45,7 +45,7 @@ class InfoLayout:
 
 def first_row(array: NDArray[Any]) -> Any:
     """What an array (B, ...) has of the first receiver; a number where it has one of each."""
-    return array[0] if array.ndim > 1 else array[0].item()
+    return array[0] if array.ndim > 1 or array.dtype == object else array[0].item()
 
 
 class PlainResult(NamedTuple):

@@ -25,15 +25,23 @@ def name_environment(key: str, version: int) -> str:
 
 @dataclass(frozen=True)
 class Task:
-    """One task.
+    """One task for spoofers.
 
-    - `title`: what it requires, in a line;
-    - `settings`: keyword arguments of `SpoofEnv`, JSON-able, but for the detector;
-    - `detectors`: those that the spoofer meets, as `make_detector` takes them; of several, every
-      episode draws one, which the spoofer does not know;
-    - `alert_limit_m`: error that the navigation must not exceed unnoticed, or None;
-    - `historical`: stays for results published on its world, and is solved there;
-    - `version`: of the suite that it is of.
+    Attributes
+    ----------
+    key, title : str
+        Name, and what it requires, in a line.
+    settings : dict
+        Keyword arguments of `SpoofEnv`, JSON-able, but for the detector.
+    detectors : tuple of dict
+        Those that the spoofer meets, as `make_detector` takes them; of several, every episode draws
+        one, which the spoofer does not know.
+    alert_limit_m : float or None
+        Error that the navigation must not exceed unnoticed [m].
+    historical : bool
+        Whether it stays for results published on its world, and is solved there.
+    version : int
+        Of the suite that it is of.
     """
 
     key: str
@@ -42,7 +50,7 @@ class Task:
     detectors: tuple[dict[str, Any], ...]
     alert_limit_m: float | None = None
     historical: bool = False
-    version: int = 2
+    version: int = 1
 
     @property
     def suite(self) -> str:
@@ -123,11 +131,21 @@ RATE_LIMIT_MPS = 5.0  # of the tasks' attacks
 class AttackFamily:
     """Attacks that have something in common, of which the worst one counts.
 
-    - `letters`: attacks of the suite; ``"c"`` are the shipped profiles, ``"m"`` is a meaconer at
-      the worst distance of its antenna;
-    - `held_out`: whether no detector may be trained or tuned on it;
-    - `attack`: in place of that of the task's world; `timeline`, `domain`: what differs from those
-      of that world; `onset`: one of `ONSETS`.
+    Attributes
+    ----------
+    key, title : str
+        Name, and what it does, in a line.
+    letters : str
+        Attacks of the suite; ``"c"`` are the shipped profiles, ``"m"`` is a meaconer at the worst
+        distance of its antenna, ``"o"`` profiles that are searched for against the detector.
+    held_out : bool
+        Whether no detector may be trained or tuned on it.
+    attack : dict or None
+        In place of that of the task's world.
+    timeline, domain : dict or None
+        What differs from those of that world.
+    onset : str or None
+        One of `ONSETS`.
     """
 
     key: str
@@ -142,7 +160,17 @@ class AttackFamily:
 
 @dataclass(frozen=True)
 class DetectorTask:
-    """A task for detectors: the world and the alert limit of a task, and families of attacks."""
+    """A task for detectors.
+
+    Attributes
+    ----------
+    key, title : str
+        Name, and its world, in a line.
+    task : Task
+        Whose world and alert limit it has.
+    families : tuple of AttackFamily
+        Attacks that it is scored by.
+    """
 
     key: str
     title: str

@@ -16,8 +16,6 @@ never met, and by their false alarms, also where something happens that looks li
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from .base import (
     NEAR_ALARM_S,
     RANGE_RATES,
@@ -41,7 +39,7 @@ LONG_SEPARATION = {"name": "solution-separation", "longest_s": 360.0, "spacing_s
 """A bank of coasting solutions that covers an attack of 325 s."""
 
 TASKS: dict[str, Task] = {
-    task.key: replace(task, version=1)
+    task.key: task
     for task in (
         Task(
             "T1",

@@ -28,8 +28,8 @@ def test_the_table_says_what_everybody_observes_and_a_line_of_the_page_has_what_
     assert comparable(known, "oracle+reported") == ["ramp", "feedback", "both"]
     (row,) = rows_of(page({"T3/ewma/blind": cell(9.0, 12.0, 8.0, optimum=10.0)}))
     assert (row["world"], row["PPO (blind)"]) == ("T3", "9.0 [8.0, 12.0]")
-    assert row["of the blind-optimum"] == "0.90 (0.00 to 2.00)"
-    assert row["blind-optimum (blind)"] == "10.0 (9.0 to 11.0)"
+    assert row["of the open-loop"] == "0.90 (0.00 to 2.00)"
+    assert row["open-loop (blind)"] == "10.0 (9.0 to 11.0)"
     assert row["PPO (oracle)"] == row["PPO (blind+reported)"] == row["feedback"] == "-"
     # seeds over the budget are counted, and one without a policy is nothing
     (row,) = rows_of(page({"T5/aime/oracle": cell(9.0, None, 8.0, over=(9.0,))}))

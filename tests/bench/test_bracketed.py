@@ -43,7 +43,7 @@ def bounds(*cells, point=POINT, high=None, searches=(), **bound):
     return compute_bounds(point, limits(**bound), cells, protection, searches)
 
 
-def test_the_best_attack_is_compared_with_its_floor_and_the_blind_optimum_is_that_of_the_search():
+def test_the_best_attack_is_compared_with_its_floor_and_the_open_loop_is_that_of_the_search():
     found = bounds(
         cell("none", 0.0),
         cell("ramp", 0.5),
@@ -61,10 +61,10 @@ def test_the_best_attack_is_compared_with_its_floor_and_the_blind_optimum_is_tha
     assert bounds(nobody, cell("step", 9.0, within_budget=False))["search_failed"] == []
     assert bounds(cell("none", 0.0))["search_failed"] == []
     search = {"by": "response replay", "unbeaten_start": "ramp"}
-    searches = [{"spoofer": "blind-optimum", "found": search}]
-    found = bounds(cell("blind-optimum", 9.0), searches=searches)["blind_optimum"]
+    searches = [{"spoofer": "open-loop", "found": search}]
+    found = bounds(cell("open-loop", 9.0), searches=searches)["open_loop"]
     assert found.items() >= {"value": 9.0, **search}.items()
-    assert bounds(cell("ramp", 9.0))["blind_optimum"] is None
+    assert bounds(cell("ramp", 9.0))["open_loop"] is None
 
 
 @pytest.mark.parametrize(

@@ -158,7 +158,7 @@ def test_habits_of_writers(written, old, new):
         ("0.515370000000D+04", "0.000000000000D+00", "`root_semi_major_axis` .* 2530 to 8192, got"),
         ("0.597600000000D+06", "0.999999999999D+09", "`second_of_week` .* 0 to 604800, got 1e"),
         ("0.965000000000D+00", "               nan", "must be finite, got"),
-        (" 0.0-0.15", "1e99-0.15", "line 13: the epoch must be a date to 2099"),
+        (" 0.0-0.15", "1e99-0.15", "line 13: the epoch must be a date up to the year 2099"),
         (" 5 24", "-5 24", "line 13: the satellite must be 1 to 63, got -5"),
     ],
 )

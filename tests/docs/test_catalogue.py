@@ -29,4 +29,5 @@ def test_every_registered_name_is_in_a_table_and_every_environment_named():
     named = {f"spoofgym/{name}" for name in re.findall(r"`(?:spoofgym/)?(\w+-v\d+)`", PAGE)}
     named |= {f"spoofgym/BenchT{k}-v1" for k in range(2, 6)}  # "T1 to T6"
     named |= {f"spoofgym/BenchD{k}-v1" for k in range(2, 4)}
+    named |= {f"spoofgym/Bench{side}2-v2" for side in "SD"}
     assert set(ids) == named

@@ -218,7 +218,7 @@ def test_full_scale_and_decisions_fit_attack_and_alert_limit(given, action, leng
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (("--task", "T9"), "unknown task 'T9'; valid: T1"),
+        (("--task", "T9"), "unknown task 'T9'; valid: S1"),
         (("--alarm-price", 9), "`alarm_price`"),
         (("--learning-rate", "nan"), "`learning_rate`"),
         (("--seeds", 1, 1), "`seeds` must be different numbers"),

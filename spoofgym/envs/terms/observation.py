@@ -140,6 +140,7 @@ class OwnOffsets(_Term):
 
     described_as = "OwnOffsets"
     knowledge: ClassVar[str] = "blind"
+    latent: ClassVar[bool] = False
     limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:

@@ -36,10 +36,10 @@ def test_every_term_goes_through_json(kind):
 
 def offered(term):
     """Environments, single and three at a time, of each victim that has what a term observes."""
-    settings = {"observation": term, "end_at_alarm": False}
-    for kind in VICTIMS:
+    plain = {"observation": term, "end_at_alarm": False}
+    for kind, own in [*((kind, {}) for kind in VICTIMS), ("TightlyCoupled", {"control": "rate"})]:
         try:
-            yield victim(kind, **settings).unwrapped, victims(kind, 3, **settings)
+            yield victim(kind, **plain, **own).unwrapped, victims(kind, 3, **plain, **own)
         except (TypeError, ValueError):
             continue
 
