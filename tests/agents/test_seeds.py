@@ -54,18 +54,3 @@ def cell(*values, over=(), optimum=None):
 def rows_of(table):
     head, _, *lines = ([x.strip() for x in y.strip("|").split(" | ")] for y in table.splitlines())
     return [dict(zip(head, line, strict=True)) for line in lines]
-
-
-def test_a_line_of_the_page_has_what_is_there_and_a_dash_for_the_rest():
-    (row,) = rows_of(page({"T3/ewma/blind": cell(9.0, 12.0, 8.0, optimum=10.0)}))
-    assert row["world"] == "T3"
-    assert row["PPO (blind)"] == "9.0 [8.0, 12.0]"
-    assert row["of the open-loop"] == "0.90 (0.00 to 2.00)"
-    assert row["open-loop (blind)"] == "10.0 (9.0 to 11.0)"
-    assert row["PPO (oracle)"] == row["PPO (blind+reported)"] == row["feedback"] == "-"
-    # seeds over the budget are counted, and one without a policy is nothing
-    (row,) = rows_of(page({"T5/aime/oracle": cell(9.0, None, 8.0, over=(9.0,))}))
-    assert row["PPO (oracle)"] == "8.0 [0.0, 9.0], 1 over"
-    assert row["PPO (blind)"] == "-"
-    table = {f"T3/{name}/{known}": cell(1.0) for name in "ab" for known in ("blind", "oracle")}
-    assert len(rows_of(page(table))) == 2  # one for each detector in a world

@@ -100,18 +100,6 @@ def test_a_mean_above_the_zero_alarm_bound_is_marked():
         assert (report.format_bound(each), each["above_zero_alarm"]) == (text, [])
 
 
-def test_the_open_loop_attack_is_that_of_the_search():
-    search = {"by": "response replay", "unbeaten_start": "ramp"}
-    searches = [{"spoofer": "open-loop", "found": search}]
-    found = bounds(cell("open-loop", 9.0), searches=searches)["open_loop"]
-    assert (found["value"], found["by"], found["unbeaten_start"]) == (
-        9.0,
-        "response replay",
-        "ramp",
-    )
-    assert bounds(cell("ramp", 9.0))["open_loop"] is None
-
-
 def test_a_weak_attack_is_a_failed_search_and_one_too_strong_is_explained(tmp_path):
     suite = small_suite(
         detectors=("never", "shewhart"), spoofers=({"name": "ramp", "rate_mps": 1e-4},)
