@@ -158,6 +158,54 @@ class AttackFamily:
     domain: dict[str, Any] | None = None
 
 
+COMMON = {
+    family.key: family
+    for family in (
+        AttackFamily("ramps", "ramps and accelerating ramps", "a"),
+        AttackFamily("profiles", "profiles of the rate", "b"),
+        AttackFamily("feedback", "a ramp that yields where the statistic grows", "e"),
+        AttackFamily("dashes", "nothing, and then as fast as allowed", "h"),
+        AttackFamily(
+            "quiet",
+            "a counterfeit quieter than nature",
+            "ah",
+            True,
+            {"name": "false-position", "errors": "quiet"},
+        ),
+        AttackFamily(
+            "subset",
+            "every second channel moves, the others stay",
+            "ah",
+            True,
+            {"name": "false-position", "channels": [f"slot{k:02d}" for k in range(0, 12, 2)]},
+        ),
+        AttackFamily(
+            "meaconer",
+            "another antenna's signals, east of the target, replayed",
+            "m",
+            True,
+            {"name": "meaconer"},
+        ),
+        AttackFamily("turn", "onset in a turn", "ah", True, onset="turn"),
+        AttackFamily(
+            "satellite-switch",
+            f"onset within {SWITCH_WITHIN_S:g} s of a satellite's rise or set",
+            "ah",
+            True,
+            onset="satellite-switch",
+        ),
+        AttackFamily(
+            "chance-alarm",
+            f"onset after an alarm by chance, or near one, in the last {NEAR_ALARM_S:g} s",
+            "ah",
+            True,
+            onset="chance-alarm",
+        ),
+    )
+}
+"""Families that both suites have, by their keys."""
+
+
 @dataclass(frozen=True)
 class DetectorTask:
     """A task for detectors.

@@ -16,15 +16,9 @@ never met, and by their false alarms, also where something happens that looks li
 
 from __future__ import annotations
 
-from .base import (
-    NEAR_ALARM_S,
-    RANGE_RATES,
-    RATE,
-    SWITCH_WITHIN_S,
-    AttackFamily,
-    DetectorTask,
-    Task,
-)
+from dataclasses import replace
+
+from .base import COMMON, RANGE_RATES, RATE, AttackFamily, DetectorTask, Task
 
 EWMA = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
 DRAWN = {
@@ -101,62 +95,30 @@ TASKS: dict[str, Task] = {
 }
 """The tasks by their keys."""
 PUBLIC = (
-    AttackFamily("ramps", "ramps and accelerating ramps", "a"),
-    AttackFamily("profiles", "profiles of the rate", "b"),
+    COMMON["ramps"],
+    COMMON["profiles"],
     AttackFamily("blind-optima", "the shipped profiles, optimised on other detectors", "c"),
-    AttackFamily("feedback", "a ramp that yields where the statistic grows", "e"),
-    AttackFamily("dashes", "nothing, and then as fast as allowed", "h"),
+    COMMON["feedback"],
+    COMMON["dashes"],
 )
-EVERY_SECOND = [f"slot{k:02d}" for k in range(0, 12, 2)]
-"""Every second channel of the receivers, in the order of the satellites' ids."""
 EARLY = {"warmup_s": 140.0, "live_s": 120.0}
 """The flight of T3, T5 and T6 turns up to its 176th second, before their attacks begin: here the
 receiver has been on for a minute less, and the onset is as early as 140 s."""
 
 
 def _held_out(quiet: bool, timeline: dict[str, float] | None) -> tuple[AttackFamily, ...]:
-    plain = {"name": "false-position"}
-    own = {**plain, "errors": "quiet"} if quiet else plain
-    errors = (
-        AttackFamily("inherited", "nature's errors stay in the counterfeit", "ah", True, plain)
-        if quiet
-        else AttackFamily(
-            "quiet", "a counterfeit quieter than nature", "ah", True, {**plain, "errors": "quiet"}
-        )
+    plain, subset = {"name": "false-position"}, COMMON["subset"]
+    inherited = AttackFamily(
+        "inherited", "nature's errors stay in the counterfeit", "ah", True, plain
     )
+    if quiet:
+        subset = replace(subset, attack={**(subset.attack or {}), "errors": "quiet"})
     return (
-        errors,
-        AttackFamily(
-            "subset",
-            "every second channel moves, the others stay",
-            "ah",
-            True,
-            {**own, "channels": EVERY_SECOND},
-        ),
-        AttackFamily(
-            "meaconer",
-            "another antenna's signals, east of the target, replayed",
-            "m",
-            True,
-            {"name": "meaconer"},
-        ),
-        AttackFamily("turn", "onset in a turn", "ah", True, None, timeline, "turn"),
-        AttackFamily(
-            "satellite-switch",
-            f"onset within {SWITCH_WITHIN_S:g} s of a satellite's rise or set",
-            "ah",
-            True,
-            None,
-            timeline,
-            "satellite-switch",
-        ),
-        AttackFamily(
-            "chance-alarm",
-            f"onset after an alarm by chance, or near one, in the last {NEAR_ALARM_S:g} s",
-            "ah",
-            True,
-            onset="chance-alarm",
-        ),
+        inherited if quiet else COMMON["quiet"],
+        subset,
+        COMMON["meaconer"],
+        *(replace(COMMON[key], timeline=timeline) for key in ("turn", "satellite-switch")),
+        COMMON["chance-alarm"],
     )
 
 

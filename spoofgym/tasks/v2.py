@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from .base import NEAR_ALARM_S, RATE, SWITCH_WITHIN_S, AttackFamily, DetectorTask, Task
+from .base import COMMON, RATE, AttackFamily, DetectorTask, Task
 
 AGES_S = (60.0, 3600.0)
 """Of receiver and detectors at the onset."""
@@ -81,47 +81,10 @@ TASKS: dict[str, Task] = {
 """The tasks for spoofers by their keys."""
 
 FAMILIES = (
-    AttackFamily("ramps", "ramps and accelerating ramps", "a"),
-    AttackFamily("profiles", "profiles of the rate", "b"),
+    COMMON["ramps"],
+    COMMON["profiles"],
     AttackFamily("open-loop", "the best profile that a search finds against this detector", "o"),
-    AttackFamily("feedback", "a ramp that yields where the statistic grows", "e"),
-    AttackFamily("dashes", "nothing, and then as fast as allowed", "h"),
-    AttackFamily(
-        "quiet",
-        "a counterfeit quieter than nature",
-        "ah",
-        True,
-        {"name": "false-position", "errors": "quiet"},
-    ),
-    AttackFamily(
-        "subset",
-        "every second channel moves, the others stay",
-        "ah",
-        True,
-        {"name": "false-position", "channels": [f"slot{k:02d}" for k in range(0, 12, 2)]},
-    ),
-    AttackFamily(
-        "meaconer",
-        "another antenna's signals, east of the target, replayed",
-        "m",
-        True,
-        {"name": "meaconer"},
-    ),
-    AttackFamily("turn", "onset in a turn", "ah", True, onset="turn"),
-    AttackFamily(
-        "satellite-switch",
-        f"onset within {SWITCH_WITHIN_S:g} s of a satellite's rise or set",
-        "ah",
-        True,
-        onset="satellite-switch",
-    ),
-    AttackFamily(
-        "chance-alarm",
-        f"onset after an alarm by chance, or near one, in the last {NEAR_ALARM_S:g} s",
-        "ah",
-        True,
-        onset="chance-alarm",
-    ),
+    *(family for key, family in COMMON.items() if key not in ("ramps", "profiles")),
     AttackFamily(
         "early",
         "onset 10 s to a minute after switch-on",
