@@ -249,15 +249,28 @@ class Panel:
         return play_side_by_side(start, specs, which, drop_alarmed=True)[0]
 
     def at_thresholds(self, number: int, factor: float, runs: int) -> Panel:
-        """The first runs in front of one of the detectors, its thresholds so many times as high.
-        A TypeError where it has no scaled thresholds."""
+        """The first runs with the thresholds of one of the detectors so many times as high, from
+        the same onset, since weights are not scaled; the same runs count. A TypeError where it has
+        no scaled thresholds."""
         judge = copy.deepcopy(self.judges[number])
         if not isinstance(judge, Calibrated):
             raise TypeError(f"{judge!r} has no scaled thresholds")
         resolve_thresholds(judge, self.world)
         scaled = in_any_world(judge)
         scaled.scale *= factor  # type: ignore[attr-defined]
-        return Panel(self.world, [scaled], lambda: self.rngs()[:runs], self.threads, self._watched)
+        part = copy.copy(self)
+        part.judges = [scaled if k == number else each for k, each in enumerate(self.judges)]
+        part.rngs = lambda: self.rngs()[:runs]
+        own = part._build_setup(tuple(range(len(part.judges))))
+        part.start, part.setup = self.start.first(runs).under(own), own
+        part.clean = [each.first(runs) for each in self.clean]
+        part.warmup_alarm, part.twin_alarm = self.warmup_alarm[:runs], self.twin_alarm[:runs]
+        part.counts, part.sky = self.counts[:runs], self.sky[:runs]
+        in_loop = self.world.copy_with(detector=scaled, monitors=self._watched)
+        part._alone = {
+            k: start.first(runs).under(in_loop) for k, start in self._alone.items() if k == number
+        }
+        return part
 
     def _start(
         self, numbers: Numbers, alone: bool, attack: PanelAttack, rows: NDArray[np.intp]

@@ -50,7 +50,7 @@ STEP, GROWTH = 1.1, 1.25
 ERRORS, LEAST = 4.0, 0.2
 """Standard errors of a share of alarms by which these values go beyond the budget, and the part of
 the budget that is far enough below it."""
-FACTOR, FACTOR_RUNS = 1.1, 512
+FACTOR, FACTOR_RUNS = 1.1, 128
 """On the thresholds, for the elasticity of a score, and how many runs it is taken from at most."""
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.intp]
@@ -112,9 +112,11 @@ class EngineRuns:
         return np.asarray(runs.first_alarm > 0)
 
 
-def trace_alarms(runs: AttackedRuns, settings: Tuning, start: float | None = None) -> AlarmCurve:
+def trace_alarms(
+    runs: AttackedRuns, settings: Tuning, start: float | None = None, errors: float = ERRORS
+) -> AlarmCurve:
     """Play an attack around the budget, and find the alarm amplitudes there. `start`: a value near
-    it; sifted for by default."""
+    it; sifted for by default. `errors`: how far around, in standard errors."""
     silent, low, high = math.nan, *runs.span
     if start is None:
         grid = build_log_grid(low, high, settings.values)
@@ -127,7 +129,7 @@ def trace_alarms(runs: AttackedRuns, settings: Tuning, start: float | None = Non
         return AlarmCurve(
             np.array([low]), none[0], {MEASURES[0]: none}, none > 0.0, runs.sky, low, silent
         )
-    played = _play_around(runs, settings.budget, start, (low, high))
+    played = _play_around(runs, settings.budget, start, (low, high), errors)
     values = np.array(sorted(played))
     alarmed = np.array([played[value][0] for value in values.tolist()])
     edges = _bisect(runs, values, alarmed)
@@ -148,12 +150,12 @@ def trace_alarms(runs: AttackedRuns, settings: Tuning, start: float | None = Non
 
 
 def _play_around(
-    runs: AttackedRuns, budget: float, start: float, span: tuple[float, float]
+    runs: AttackedRuns, budget: float, start: float, span: tuple[float, float], errors: float
 ) -> dict[float, Played]:
     """What is played on all runs, by value."""
     start = min(max(start, span[0]), span[1])
     played = {start: runs.play(start)}
-    error = ERRORS * _share_error(played[start][0], runs.sky, budget)
+    error = errors * _share_error(played[start][0], runs.sky, budget)
     ends = (-1, max(budget - error, LEAST * budget)), (1, budget + error)
     for sign, end in ends:
         value, power = start, 1.0
@@ -195,8 +197,8 @@ def measure_elasticity(
         return {}
     count, found = min(panel.runs, FACTOR_RUNS), []
     for factor in (1.0, FACTOR):
-        runs = EngineRuns(panel.at_thresholds(number, factor, count), 0, entry)
-        score = score_at_budget(trace_alarms(runs, settings, start), settings.budget)
+        runs = EngineRuns(panel.at_thresholds(number, factor, count), number, entry)
+        score = score_at_budget(trace_alarms(runs, settings, start, 0.0), settings.budget)
         found.append({AMPLITUDE: score.amplitude, **score.displacement})
     pairs = {name: (found[0][name].value, found[1][name].value) for name in found[0]}
     return {
