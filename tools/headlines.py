@@ -1,10 +1,11 @@
-"""The tables of all detectors in three worlds: played, kept as JSON with their digest, and shown.
+"""The table of all detectors in the world of the standard suite: played, kept as JSON with its
+digest, and shown.
 
-    python -m tools.headlines                  # plays what is missing, into results/headlines
-    python -m tools.headlines --world trolley  # one of them; the others stay as they are kept
+    python -m tools.headlines     # plays what is missing, into results/headlines
 
-All detectors work at 0.2 false alarms an hour; ramps, profiles, open-loop attacks and feedback meet
-each of them.  Their bracket is shown with what was achieved.
+All detectors work at 0.2 false alarms an hour; ramps, open-loop optima and feedback meet each of
+them.  Their bracket is shown with what was achieved.  `FIRST`, that of the first suite, is kept for
+`tools.feedback_gain`, and is not shown.
 """
 
 from __future__ import annotations
@@ -27,14 +28,10 @@ from tools.pages import DOCS, marks, put_between, render_page
 
 DATA_FILE, PAGE = DOCS / "headlines.json", DOCS / "scores.md"
 START, END = marks("headlines")
-WORLDS = {
-    "trolley": ["--suite", "standard"],
-    "zhong2025": ["--scenario", "zhong2025"],
-    "aviation-actual": ["--scenario", "aviation-actual", "--tuning", "matched"],
-}
-"""Options of a campaign by world; sky, heading, onset and turn-on constants are drawn for
-every run."""
-SPOOFERS = ("ramp", "accelerating-ramp", "feedback", "snapshot-chi2-profile", "open-loop")
+COMMAND = ["bench", "--suite", "standard"]
+WORLD, FIRST = "S1", "trolley"
+"""Worlds that are kept: that of the table, and that of the first suite."""
+SPOOFERS = ("ramp", "accelerating-ramp", "open-loop", "feedback")
 CURVES = ("p_hmi", "survival")
 """Of a cell, which are not kept; those of the protection are."""
 COLUMNS = {
@@ -49,23 +46,14 @@ COLUMNS = {
     "zero-alarm bound [m]": "zero-alarm bound [m]",
 }
 """Columns of the table before those of the attacks, and what they are in the campaign's."""
-NO_LIMITS: dict[str, Any] = {"floor": None, "zero_alarm": {}}
-"""Of a world that was played before there were any."""
 
 
-def options(name: str, sizes: list[str]) -> list[str]:
-    if "--suite" in WORLDS[name]:
-        return ["bench", *WORLDS[name]]
-    players = [word for spoofer in SPOOFERS for word in ("--spoofer", spoofer)]
-    return ["bench", "--detector", "all", *WORLDS[name], *players, *sizes]
-
-
-def play_world(name: str, out: Path, sizes: list[str]) -> dict[str, Any]:
-    given = options(name, sizes)
-    words = ["-W", "ignore", "-m", "spoofgym", *given, "--out", str(out / name), "--json"]
+def play_world(out: Path, sizes: list[str]) -> dict[str, Any]:
+    given = [*COMMAND, *sizes]
+    words = ["-W", "ignore", "-m", "spoofgym", *given, "--out", str(out / WORLD), "--json"]
     done = subprocess.run([sys.executable, *words], check=True, stdout=subprocess.PIPE)
     summary = json.loads(done.stdout)
-    found = json.loads((out / name / "config.json").read_text())
+    found = json.loads((out / WORLD / "config.json").read_text())
     config = found["config"]
     wanted = ("campaign", "scenario", "runs", "entropy", "budget", "alert_limit_m", "attack_suite")
     parts = ("detectors", "cells", "protection", "comparisons", "limits")
@@ -94,24 +82,19 @@ def _add_bounds(world: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]
 
 
 def shown(kept: dict[str, Any]) -> str:
-    worlds = []
-    for world in kept["worlds"].values():
-        world = _add_bounds(world, world.get("limits", NO_LIMITS))
-        points = (point for points in world["calibrations"].values() for point in points)
-        (per_run,) = {point["per_run"] for point in points}
-        notes = (note.partition(LEFT_OUT) for note in world["notes"])
-        left_out = [label for label, found, _ in notes if found]
-        worlds.append({**world, "tables": _tables(world), "per_run": per_run, "left_out": left_out})
-    return render_page("headlines.md.j2", worlds=worlds, list_limit_notes=report.list_limit_notes)
+    world = kept["worlds"][WORLD]
+    world = _add_bounds(world, world["limits"])
+    points = (point for points in world["calibrations"].values() for point in points)
+    (per_run,) = {point["per_run"] for point in points}
+    notes = (note.partition(LEFT_OUT) for note in world["notes"])
+    left_out = [label for label, found, _ in notes if found]
+    world |= {"tables": _tables(world), "per_run": per_run, "left_out": left_out}
+    return render_page("headlines.md.j2", worlds=[world], list_limit_notes=report.list_limit_notes)
 
 
 def _tables(world: dict[str, Any]) -> str:
     """A row for each detector; of an attack its stealthy displacement."""
-    columns = [
-        report.DETECTORS[name]._replace(title=title)
-        for title, name in COLUMNS.items()
-        if world["limits"]["floor"] or not ("floor" in title or " bound" in title)
-    ]
+    columns = [report.DETECTORS[name]._replace(title=title) for title, name in COLUMNS.items()]
     cells = {(cell["detector"], extract_name(cell["spoofer"])): cell for cell in world["cells"]}
     met = {extract_name(cell["spoofer"]): cell["knowledge"]["run_time"] for cell in world["cells"]}
     spoofers = [name for name in SPOOFERS if name in met]
@@ -137,18 +120,15 @@ def _displacement(cell: dict[str, Any]) -> str:
 def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("results/headlines"))
-    parser.add_argument("--world", choices=WORLDS, action="append", help="by default all")
-    parser.add_argument("--seeds", default="1000", help="evaluation runs of every cell")
-    parser.add_argument("--training-seeds", default="256")
-    parser.add_argument("--selection-seeds", default="192")
+    for name in ("seeds", "training-seeds", "selection-seeds"):
+        parser.add_argument(f"--{name}", help="in place of the suite's own")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
-    given = parser.parse_args(arguments)
-    sizes = ["--seeds", given.seeds, "--training-seeds", given.training_seeds]
-    sizes += ["--selection-seeds", given.selection_seeds]
+    given = vars(parser.parse_args(arguments))
     worlds = json.loads(DATA_FILE.read_text())["worlds"]
-    for name in () if given.tables_only else given.world or WORLDS:
-        worlds[name] = play_world(name, given.out, sizes)
-        kept = {each: worlds[each] for each in WORLDS}
+    if not given.pop("tables_only"):
+        out, named = given.pop("out"), ((name, each) for name, each in given.items() if each)
+        sizes = [word for name, each in named for word in (f"--{name.replace('_', '-')}", each)]
+        kept = {WORLD: play_world(out, sizes), FIRST: worlds[FIRST]}
         write_json(DATA_FILE, {"digest": compute_digest(kept), "worlds": kept}, None)
     put_between(PAGE, START, END, shown(json.loads(DATA_FILE.read_text())))
 

@@ -115,7 +115,7 @@ def bench(
     every run, unless --set domain=... says otherwise.
     """
     from ..bench.experiments.campaign import Campaign
-    from ..bench.experiments.suite import SIZES, SPOOFERS, SUITES
+    from ..bench.experiments.suite import RULE, SIZES, SPOOFERS, SUITES
     from ..bench.runs.players import add_tuned_setting
     from ..core.registry import check_choice
     from ..simulation.engine import processors
@@ -126,6 +126,7 @@ def bench(
         refuse_decided(options, "--suite", opt.SUITE_OPTIONS)
         sizes = {**SIZES, **{key: sizes[key] for key in options.find_passed(SIZES)}}
         spoofer = [*SPOOFERS]
+        rule = rule if options.find_passed(("rule",)) else RULE
     settings: dict[str, Any] = {
         "spoofers": list(map(add_tuned_setting, opt.parse_specs(spoofer))) if spoofer else None,
         "runs": sizes["seeds"],

@@ -1,13 +1,12 @@
-"""The page on scores shows what is kept of the three worlds, and the file is as it was made."""
+"""The page on scores shows what is kept of the standard suite, and the file is as it was made."""
 
-import itertools
 import json
 
 import pytest
 
 from spoofgym.bench.experiments.suite import SPOOFERS as STANDARD
 from spoofgym.core.settings import compute_digest
-from tools.headlines import DATA_FILE, END, SPOOFERS, START, WORLDS, shown
+from tools.headlines import DATA_FILE, END, START, WORLD, shown
 from tools.pages import part_between
 
 from .pages import text_of
@@ -20,14 +19,24 @@ def kept():
     return json.loads(DATA_FILE.read_text())
 
 
-def test_the_tables_are_those_of_the_file(kept):
+def test_the_tables_are_those_of_the_file_and_nothing_gets_farther_than_the_blind_optimum(kept):
     assert part_between(text_of(PAGE), START, END) == f"\n{shown(kept)}"
     assert kept["digest"] == compute_digest(kept["worlds"])
+    # within the budget, by the intervals of the stored run
+    reached = {}
+    for cell in kept["worlds"]["trolley"]["cells"]:
+        if cell["within_budget"] and cell["tuned_within_budget"]:
+            name = cell["spoofer"].split("(")[0]
+            reached.setdefault(cell["detector"], {})[name] = cell["stealthy_displacement_m"]
+    found = [each for each in reached.values() if "blind-optimum" in each]
+    assert len(found) > 20
+    for each in found:
+        for name in {"ramp", "accelerating-ramp", "snapshot-chi2-profile"} & {*each}:
+            assert each["blind-optimum"]["high"] >= each[name]["low"], (name, each)
 
 
-@pytest.mark.parametrize("name", WORLDS)
-def test_every_detector_has_the_same_rate_and_its_attacks(kept, name):
-    world = kept["worlds"][name]
+def test_every_detector_has_the_same_rate_and_its_attacks(kept):
+    world = kept["worlds"][WORLD]
     points = [point for each in world["calibrations"].values() for point in each]
     assert {point["false_alarms_per_hour"] for point in points} == {0.2}
     assert not any(point["extrapolated"] for point in points)
@@ -35,33 +44,29 @@ def test_every_detector_has_the_same_rate_and_its_attacks(kept, name):
     assert {"never", "snapshot-chi2", "ewma"} < labels
     assert len(labels) >= 15
     assert {row["detector"] for row in world["protection"]} == labels
-    words = world["command"].split()
-    given = [after for word, after in itertools.pairwise(words) if word == "--spoofer"]
-    wanted = {"none", *(STANDARD if "--suite" in words else given)}
-    assert set(given) <= set(SPOOFERS)
+    wanted = {"none", *STANDARD}
     for label in labels:
         met = [c["spoofer"].split("(")[0] for c in world["cells"] if c["detector"] == label]
         assert {*met} == wanted
 
 
-def test_no_ramp_or_profile_gets_farther_than_the_open_loop_attack(kept):
+def test_no_ramp_gets_farther_than_the_open_loop_attack(kept):
     """Within the budget, by the intervals of the stored run."""
     reached = {}
-    for cell in kept["worlds"]["trolley"]["cells"]:
+    for cell in kept["worlds"][WORLD]["cells"]:
         if cell["within_budget"] and cell["tuned_within_budget"]:
             name = cell["spoofer"].split("(")[0]
             reached.setdefault(cell["detector"], {})[name] = cell["stealthy_displacement_m"]
     found = [each for each in reached.values() if "open-loop" in each]
     assert len(found) > 20
     for each in found:
-        for name in {"ramp", "accelerating-ramp", "snapshot-chi2-profile"} & {*each}:
+        for name in {"ramp", "accelerating-ramp"} & {*each}:
             assert each["open-loop"]["high"] >= each[name]["low"], (name, each)
 
 
-@pytest.mark.parametrize("name", WORLDS)
-def test_chance_is_worth_nothing(kept, name):
+def test_chance_is_worth_nothing(kept):
     """The controls can't be told apart, but by one who obeys what a lottery says."""
-    world = kept["worlds"][name]
+    world = kept["worlds"][WORLD]
     rows = [
         row
         for row in world["comparisons"]
