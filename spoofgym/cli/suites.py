@@ -125,19 +125,12 @@ def _detectors(
 
 
 def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) -> Suite:
-    """The standard suite, with all detectors, or with those that are given and the controls."""
-    from ..bench.experiments.suite import (
-        RATE,
-        TASK,
-        Suite,
-        list_task_detectors,
-        standard_kwargs,
-    )
+    """The standard suite, with its detectors, or with those that are given and the controls."""
+    from ..bench.experiments.suite import RATE, Suite, list_standard_detectors, standard_kwargs
     from ..bench.runs.world import CONTROLS
-    from ..tasks import get_task
 
     if detectors is None:
-        chosen = list_task_detectors(get_task(TASK))
+        chosen = list_standard_detectors()
     else:
         given = parse_specs(detectors)
         names = {spec["name"] for spec in given}

@@ -312,7 +312,10 @@ SPOOFERS = ("ramp", "accelerating-ramp", "open-loop", "feedback")
 """Each is fitted to the alarm budget."""
 RULE = EXACT
 """How it is kept, where no other one is given."""
-SIZES = {"seeds": 400, "training_seeds": 128, "selection_seeds": 48}
+RATE_TESTS = ("aime", "cumulative-bank", "sequential-chi2", "shewhart")
+TESTS = ("ewma", "joint-chart", "snapshot-chi2", "raim")
+"""Detectors of the standard suite, by range rates and by ranges."""
+SIZES = {"seeds": 256, "training_seeds": 256, "selection_seeds": 48}
 """Evaluation, training and selection runs, where no others are given."""
 
 
@@ -340,6 +343,14 @@ def list_task_detectors(task: Task) -> list[dict[str, Any]]:
     known = [{"name": each["name"]} for each in found[: -len(RANGE_RATE_TESTS)]]
     everyone = list_world_detectors(World(settings=task.world_kwargs).setup, rescaled=True)
     return [*found, *(spec for spec in everyone if spec not in known)]
+
+
+def list_standard_detectors() -> list[dict[str, Any]]:
+    """Detectors of the standard suite: the controls, solution separation with the task's bank, also
+    on the victim's filter, and one or two tests of each kind."""
+    bank, plain, *others = list_task_detectors(get_task(TASK))[len(CONTROLS) :]
+    rates = [each for each in others if "signals" in each and each["name"] in RATE_TESTS]
+    return [*map(dict, CONTROLS), bank, plain, *rates, *({"name": name} for name in TESTS)]
 
 
 def standard_kwargs() -> dict[str, Any]:
