@@ -2,6 +2,7 @@
 
     python -m tools.task_cards                  # plays what is missing, into results/tasks
     python -m tools.task_cards S2 --seeds 500   # one of them
+    python -m tools.task_cards S1 --campaign results/headlines/S1   # from the standard suite
 
 The conditions of the test are those of docs/tasks.md, on evaluation runs, which decide nothing.
 """
@@ -85,6 +86,16 @@ def play_task(task: Task, out: Path, sizes: dict[str, int]) -> dict[str, Any]:
     campaign = Campaign(suite)
     reader = run_experiment(campaign, Store(out / task.key), progress=progress)
     return make_card(task, campaign.results(reader), find_ages(suite))
+
+
+def read_campaign(task: Task, folder: Path) -> dict[str, Any]:
+    """Card of a task from a finished campaign in its world, such as the standard suite."""
+    results = CampaignResults.load(folder)
+    config = results.config
+    suite = Suite(**task.suite_kwargs, runs=config["runs"], entropy=config["entropy"])
+    if suite.world.config != {key: config[key] for key in suite.world.config}:
+        raise ValueError(f"the campaign in {folder} was not played in the world of {task.key}")
+    return make_card(task, results, find_ages(suite))
 
 
 def find_ages(suite: Suite) -> FloatArray:
@@ -231,11 +242,16 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--seeds", type=int, default=500, help="evaluation runs of every cell")
     parser.add_argument("--training-seeds", type=int, default=192, help="of which a quarter sifts")
     parser.add_argument("--selection-seeds", type=int, default=96)
+    parser.add_argument("--campaign", type=Path, help="finished one in the world of one task")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     given = parser.parse_args(arguments)
     sizes = {name: getattr(given, f"{name}_seeds") for name in ("training", "selection")}
     for key in () if given.tables_only else given.tasks or PLAYED:
-        card = play_task(get_task(key), given.out, {**sizes, "seeds": given.seeds})
+        card = (
+            read_campaign(get_task(key), given.campaign)
+            if given.campaign
+            else play_task(get_task(key), given.out, {**sizes, "seeds": given.seeds})
+        )
         keep_cards(CARD_FILE, {**tasks.stored_cards(), key: card}, TASKS)
         print(key, json.dumps(card.get("admission"), indent=1), flush=True)
     put_between(PAGE, START, END, shown())
