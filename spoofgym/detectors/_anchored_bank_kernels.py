@@ -21,6 +21,7 @@ from ._own_filter_kernels import (
     combine_rows,
     mirror,
     propagate_wide,
+    scratch_shape,
     subtract_squares,
     wide_shape,
 )
@@ -145,7 +146,8 @@ def advance_anchored(
     """
     groups, d = separation.shape[1:3]
     m, width, wide = white.shape[1], reach.shape[2], reach.shape[2] // LANES
-    moved, A = np.zeros((d, width)), np.zeros((m, width))
+    moved, A = np.zeros(scratch_shape(d, width)), np.zeros((m, width))
+    tall = moved.shape[1] // LANES
     sums, restart = np.empty((3, LANES)), np.zeros(groups * LANES, dtype=np.bool_)
     rows, ends = np.empty(d, dtype=np.int64), np.empty(d, dtype=np.int64)
     at, of = np.empty(d * d, dtype=np.int64), np.empty(d * d)
@@ -165,7 +167,7 @@ def advance_anchored(
         count, _ = append_rows(top[b], 0, others, taken, rows, ends, at, of)
         first, R, X = 0, as_vectors(reached), as_vectors(moved)
         for c in range(count):
-            combine_rows(R, wide, at, of, first, ends[c], X, c)
+            combine_rows(R, wide, at, of, first, ends[c], X, c * tall)
             first = ends[c]
         for c in range(count):
             r = rows[c]

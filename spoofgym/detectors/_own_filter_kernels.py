@@ -26,6 +26,12 @@ def wide_shape(n: int) -> tuple[int, int]:
 
 
 @njit
+def scratch_shape(n: int, width: int) -> tuple[int, int]:
+    """Shape of scratch whose columns are read: no power of two lies between two rows."""
+    return n, width + 2 * LANES * (width // (2 * LANES) % 2 == 0)
+
+
+@njit
 def as_vectors(matrix: FloatArray) -> FloatArray:
     """Lane array of a matrix of wide rows."""
     return matrix.reshape((matrix.size // LANES, LANES))
@@ -51,18 +57,18 @@ def combine_rows(
     first: int,
     last: int,
     target: FloatArray,
-    row: int,
+    place: int,
 ) -> None:
-    """Write a row of `target`: rows `at` of a matrix times `of`, from `first` to `last`, summed.
-    Lane arrays of rows of `wide` vectors."""
+    """Write a row of `target`, which begins at vector `place`: rows `at` of a matrix times `of`,
+    from `first` to `last`, summed. Lane arrays of rows of `wide` vectors."""
     for k in range(0, wide, 4):
         l = min(k + 2, wide - 2)  # a second sum, so that one need not wait for the other
         total = other = splat(0.0, load_pair(matrix, k))
         for e in range(first, last):
             total += of[e] * load_pair(matrix, at[e] * wide + k)
             other += of[e] * load_pair(matrix, at[e] * wide + l)
-        store(target, row * wide + k, total)
-        store(target, row * wide + l, other)
+        store(target, place + k, total)
+        store(target, place + l, other)
 
 
 @njit
@@ -119,23 +125,23 @@ def propagate_wide(
     moved: FloatArray,
 ) -> None:
     r"""Go on by one interval in place, :math:`P \leftarrow \Phi P \Phi^T`, and the column behind P.
-    `matrix` (n or more, W); `count`, `rows`, `ends`, `at`, `of` as of `append_rows`; `moved` (n, W)
-    scratch."""
-    wide = matrix.shape[1] // LANES
+    `matrix` (n or more, W); `count`, `rows`, `ends`, `at`, `of` as of `append_rows`; `moved`, as
+    of `scratch_shape`."""
+    wide, tall = matrix.shape[1] // LANES, moved.shape[1] // LANES
     M, X = as_vectors(matrix), as_vectors(moved)
     for side in range(2):  # P Phi', then its rows
         first = 0
         for c in range(count):
-            combine_rows(M, wide, at, of, first, ends[c], X, c)
+            combine_rows(M, wide, at, of, first, ends[c], X, c * tall)
             first = ends[c]
-        for c in range(count):
-            r = rows[c]
-            if side == 0:
-                for k in range(n):
-                    matrix[k, r] = moved[c, k]
-            else:
-                for k in range(wide * LANES):
-                    matrix[r, k] = moved[c, k]
+        if side == 0:
+            for k in range(n):
+                for c in range(count):
+                    matrix[k, rows[c]] = moved[c, k]
+        else:
+            for c in range(count):
+                for k in range(0, wide, 2):
+                    store(M, rows[c] * wide + k, load_pair(X, c * tall + k))
 
 
 @njit
@@ -175,7 +181,7 @@ def advance_filters(
     """
     receivers, width = len(filters), filters.shape[2]
     states, m, n = STATES + len(rest), z.shape[1], visible.shape[1]
-    wide, kept, moved = width // LANES, white.shape[2] - 1, np.zeros((states, width))
+    wide, kept, moved = width // LANES, white.shape[2] - 1, np.zeros(scratch_shape(states, width))
     A, factor = np.zeros((m, width)), np.empty((m, m))
     rows, ends = np.empty(states, dtype=np.int64), np.empty(states, dtype=np.int64)
     at, of = np.empty(states * states, dtype=np.int64), np.empty(states * states)
@@ -208,7 +214,7 @@ def advance_filters(
             size = append_part(design[b, r], 0, size, places, values)
             size = append_part(signals[b, r], FIRST, size, places, values)
             seen[count], until[count + 1] = r, size
-            combine_rows(as_vectors(M), wide, places, values, until[count], size, AV, count)
+            combine_rows(as_vectors(M), wide, places, values, until[count], size, AV, count * wide)
             A[count, states] -= innovation[b, r]
             z[b, r] = -A[count, states]
             for c in range(count + 1):
@@ -262,7 +268,7 @@ def compute_feedback(
         count = cholesky_of_rows(S[b], visible[b], 0, m, rows, factor)
         for i in range(count):
             size = append_part(H[b, rows[i]], 0, 0, at, of)
-            combine_rows(MV, wide, at, of, 0, size, AV, i)
+            combine_rows(MV, wide, at, of, 0, size, AV, i * wide)
         whiten_rows(factor, count, wide, AV)
         for i in range(count - 1, -1, -1):
             for k in range(0, wide, 2):

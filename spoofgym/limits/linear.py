@@ -369,9 +369,7 @@ def _offsets(
         if k < setup.steps:
             decision, epoch = divmod(k, setup.repeat)
             action = actions[:, decision]
-            command = np.ascontiguousarray(
-                setup.command(before, action, epoch) if by_rate else action
-            )
+            command = np.ascontiguousarray(setup.command(before, action, epoch))
             if epoch == setup.repeat - 1:
                 before = action
         attack.command(command, at, d_range, d_rate, 0, count)

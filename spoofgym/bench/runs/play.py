@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -200,14 +200,19 @@ class WarmStart:
     """Receivers at the onset of the attack, after one warm-up that all spoofers start from. The
     warm-up is clean, so that it is the same for every spoofer: a run from here has the same bits as
     one with a warm-up of its own. `setup`: world, victim, attack, detector and timeline;
-    `warmup_alarm` (R,) bool, false alarms before the attack."""
+    `warmup_alarm` (R,) bool, false alarms before the attack; `given`: as of `Engine.reset`."""
 
     def __init__(
-        self, setup: Setup, rngs: Sequence[np.random.Generator], *, threads: int | None = None
+        self,
+        setup: Setup,
+        rngs: Sequence[np.random.Generator],
+        *,
+        threads: int | None = None,
+        given: Mapping[str, Any] | None = None,
     ) -> None:
         self.setup, self.receivers, self._threads = setup, len(rngs), threads
         self._engine = Engine(len(rngs), setup, threads=threads)
-        self._engine.reset(rngs)
+        self._engine.reset(rngs, given=given)
         self.warmup_alarm = self._engine.warmup_alarm.copy()
 
     @property

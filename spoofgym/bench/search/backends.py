@@ -104,14 +104,15 @@ class EngineBackend:
         engine, (limit, most) = self.start.take(everyone).engine(), self.limits
         aim = compute_unit_commands(setup, self.heading_deg, engine.simulator.heading)
         change = np.diff(curves, axis=1, prepend=0.0) / most
-        actions = curves / limit if math.isinf(most) else change
+        actions = np.pad(curves / limit if math.isinf(most) else change, ((0, 0), (1, 0)))
         peak = np.zeros(len(everyone))
         position = np.empty((setup.steps + setup.hold, *engine.simulator.position.shape))
         for k in range(len(position)):
             command = None
             if k < setup.steps:
-                size = np.repeat(actions[:, k // setup.repeat], runs)
-                command = np.ascontiguousarray(size[:, None] * aim)
+                decision, epoch = divmod(k, setup.repeat)
+                size = setup.command(actions[:, decision], actions[:, decision + 1], epoch)
+                command = np.ascontiguousarray(np.repeat(size, runs)[:, None] * aim)
             engine.step(command)
             position[k] = engine.simulator.position
             np.maximum(peak, engine.simulator.ratio(), out=peak)

@@ -320,10 +320,13 @@ class Optima:
         self._numbers: dict[str, int] | None = None
         self._unwatched: tuple[WarmStart, Runs] | None = None
 
-    def _start(self, setup: Setup) -> tuple[WarmStart, Runs]:
-        """Runs that are searched on, at the onset, and what they do without attack."""
-        rngs = self.world.generators(self.bounds.entropy, SPLIT, self.settings.runs)
-        start = WarmStart(setup, rngs, threads=self.threads)
+    def _start(self, setup: Setup, shared: bool = False) -> tuple[WarmStart, Runs]:
+        """Runs that are searched on, at the onset, and what they do without attack; `shared`: with
+        the circumstances of those of the replay."""
+        entropy, runs = self.bounds.entropy, self.settings.runs
+        rngs = self.world.generators(entropy, SPLIT, runs)
+        given = share_skies(setup, entropy, runs) if shared else None
+        start = WarmStart(setup, rngs, threads=self.threads, given=given)
         return start, play(start, "none")
 
     def find(self, detector: PlayerSpec, spoofer: PlayerSpec, tick: WorkCallback) -> dict[str, Any]:
@@ -337,7 +340,7 @@ class Optima:
             found = self._search(replayed, tick)
             spec = {**spoofer.fixed_spec, "rates_mps": found[AIMS[0]]["rates_mps"]}
             # a passive detector changes no displacement
-            self._unwatched = self._unwatched or self._start(self.world.setup)
+            self._unwatched = self._unwatched or self._start(self.world.setup, shared=True)
             error = linear_error(replayed, spec, *self._unwatched)
             if error <= LINEAR_ERROR:
                 return {"by": REPLAY, "linear_error": error, "aims": found, "shapes": shape}
