@@ -228,10 +228,14 @@ def _few():
         yield
 
 
+ON_THE_WAY = {"decision_interval_s": 4.0, "between": "linear"}
+
+
 @pytest.mark.parametrize(
     ("changes", "linear_error", "why"),
     [
         ({}, 0.02, None),
+        (ON_THE_WAY, 0.001, None),  # half a decision of lag would be 3 %
         ({}, 0.0, "the displacement by replay is off by"),
         ({"detectors": ("ewma",)}, 0.02, "takes weight off"),
         ({"attack": "per-channel"}, 0.02, "commands S"),
