@@ -35,11 +35,6 @@ SPOOFERS = {
     "feedback": "feedback (sees statistics)",
 }
 """Whose stealthy displacements are shown, and their headings."""
-SHOWN = (
-    *("never", "lottery"),
-    *("snapshot-chi2", "windowed-chi2", "ewma", "joint-chart", "innovation-rate", "raim"),
-)
-"""Detectors that the README shows, besides solution separation and tests of range rates."""
 OVER = "*"
 SHARES = {"in 50 % of runs": 0.5, "in 5 %": 0.05}
 
@@ -47,15 +42,6 @@ SHARES = {"in 50 % of runs": 0.5, "in 5 %": 0.05}
 def label(detector: str) -> str:
     """Short label: the rate of false alarms is the same for all."""
     return re.sub(r"\(false_alarms_per_hour=0\.2\)|, false_alarms_per_hour=0\.2", "", detector)
-
-
-def select_rows(world: dict[str, Any]) -> list[dict[str, Any]]:
-    """Rows of the detectors that the README shows, in the order of the suite."""
-    names = {label(row["detector"]): row for row in world["detectors"]}
-    always = "solution-separation", "range_rate"
-    return [
-        row for name, row in names.items() if name in SHOWN or any(word in name for word in always)
-    ]
 
 
 def shown(world: dict[str, Any]) -> str:
@@ -79,7 +65,7 @@ def shown(world: dict[str, Any]) -> str:
         ),
         ("bounds", "bracket", _format_bounds),
     )
-    shown_table = table.markdown(select_rows(world))
+    shown_table = table.markdown(world["detectors"])
     return render_page("bench.md.j2", world=world, per_run=per_run, table=shown_table, OVER=OVER)
 
 

@@ -32,18 +32,18 @@ def bench(
     task: Annotated[
         str | None,
         Option(
-            help="Task of spoofgym-bench-v1, T1 to T6, which sets scenario, receiver, attack, "
-            "times and detectors; see `spoofgym tasks`."
+            help="Task, S1 to S3 or T1 to T6 of the first suite, which sets scenario, receiver, "
+            "attack, times and detectors; see `spoofgym tasks`."
         ),
     ] = None,
     suite_name: Annotated[
         str | None,
         Option(
             "--suite",
-            help="Suite by name: `standard` plays every detector that suits the world of task T3 "
-            "at 0.2 false alarms an hour against five spoofers, in a quarter of an hour on two "
-            "idle cores; with --detector those that are named, such as your own, and the negative "
-            "controls. It decides all but detectors, seeds, sizes and folder.",
+            help="Suite by name: `standard` plays twelve detectors in the world of task S1 at 0.2 "
+            "false alarms an hour against four spoofers, in about an hour on two idle cores; with "
+            "--detector those that are named, such as your own, and the negative controls. It "
+            "decides all but detectors, seeds, sizes and folder.",
         ),
     ] = None,
     detector: Annotated[
