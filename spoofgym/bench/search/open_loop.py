@@ -269,6 +269,8 @@ AIMS = ("budget", "half")
 keeps it, or half of the runs alarming, by which the protection is given."""
 LINEAR_ERROR = 0.02
 """How far the displacement on the engine may be from that of the replay, as a part of it."""
+RUNS_EACH = 4
+"""Runs that are searched on at most for each that amplitudes are fitted on."""
 SHARED_STREAM = 0x5C  # of the seed of a search, for the circumstances that its runs share
 SPLIT = "search"
 """Runs that are searched on: an amplitude that is fitted on the same ones would be too large."""
@@ -315,7 +317,8 @@ class Optima:
         threads: int | None = None,
     ) -> None:
         self.bounds, self.tuning, self.spoofers = brackets, tuning, spoofers
-        self.world, self.threads, self.settings = brackets.world, threads, OpenLoopSearch()
+        self.world, self.threads, own = brackets.world, threads, OpenLoopSearch()
+        self.settings = replace(own, runs=min(own.runs, max(RUNS_EACH * tuning.runs, 8)))
         self._replay: Replay | None = None
         self._numbers: dict[str, int] | None = None
         self._unwatched: tuple[WarmStart, Runs] | None = None
