@@ -28,9 +28,8 @@ from ..receiver.epoch import Epoch, ReceiverBuffers, epoch_view, kernel_table
 from ..receiver.states import STATES
 from ..receiver.tight import TUNINGS
 from ..truth.events import BenignEvents, EventWindow, draw_events
-from ..truth.flight import split_rows
 from ..truth.noise import pad_count
-from ..truth.run import GroundTruth
+from ..truth.run import GroundTruth, see_geometry
 from ..truth.scenario import Scenario, make_scenario
 from ..truth.sensors import SensorBuffers
 from ..truth.signal_errors import MAPPINGS, compute_mappings
@@ -181,15 +180,14 @@ class TightlyCoupledSetup(Setup):
         local_motion(self.true_position, velocity_e, self.C_en, *epochs_to_out)
 
     def geometry_table(self) -> FloatArray:
-        world = self.world
-        table = np.empty((world.epochs, len(self.geometry_names)))
-        for rows in split_rows(world.epochs):
-            seen = world.visible[rows]
-            sight = world.satellites[rows, :, :3] - world.position_e[rows, None, :]
-            sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
-            sight = np.einsum("kji,knj->kni", world.C_en[rows], sight) * seen[:, :, None]
-            table[rows] = np.hstack([sight.reshape(len(seen), -1), seen])
-        return table
+        return self.world.tabulate("geometry", (len(self.geometry_names),), see_geometry)
+
+    def probe_geometry(self) -> FloatArray | None:
+        epochs, geometry = self.world.probe()
+        inside = (epochs >= self.bounds.first + self.youngest) & (
+            epochs <= self.bounds.last + self.onset + self.steps + self.hold
+        )
+        return geometry[:, inside].reshape(-1, len(self.geometry_names)) if inside.any() else None
 
     def simulator(self, receivers: int, run: Run) -> TightlyCoupledSimulator:
         return TightlyCoupledSimulator(self, receivers, run)
@@ -687,6 +685,10 @@ class TightlyCoupledSimulator(Simulator):
             spoofed=(offsets.range_offset[0] != 0.0) | (offsets.rate_offset[0] != 0.0),
             weight=self.weights[0, : world.channels].copy(),
         )
+
+    def geometry(self, out: NDArray[np.float32]) -> None:
+        world, shape = self.setup.world.at_hand, (len(self.setup.geometry_names),)
+        out[:] = world.tabulate("geometry", shape, see_geometry)[self.epochs]
 
     def get_record_columns(self) -> dict[str, NDArray[Any]]:
         offsets = self.sensors

@@ -147,6 +147,11 @@ class GroundTruth:
         """World w, as views."""
         return self
 
+    def probe(self) -> tuple[NDArray[np.int64], FloatArray]:
+        """Some epochs (E,) of a world, and (W, E, 4n) `see_geometry` there in every one, as far as
+        it is known before they are built."""
+        return np.zeros(0, dtype=np.int64), np.zeros((1, 0, 4 * self.channels))
+
     def list_first_elevations(self) -> FloatArray:
         """(W, n) `first_elevation` of every world."""
         return self.first_elevation[None]
@@ -172,6 +177,25 @@ class GroundTruth:
     @cached_property
     def epoch_truth(self) -> EpochTruth:
         return EpochTruth(*(getattr(self, name) for name in EpochTruth._fields))
+
+
+def see_geometry(world: GroundTruth) -> FloatArray:
+    """(K, 4n) line of sight to every slot in local axes, 0 where it is not visible, then whether it
+    is."""
+    table = np.empty((world.epochs, 4 * world.channels))
+    for rows in split_rows(world.epochs):
+        given = world.satellites[rows, :, :3], world.position_e[rows], world.C_en[rows]
+        table[rows] = look_along(*given, world.visible[rows])
+    return table
+
+
+def look_along(
+    places: FloatArray, position_e: FloatArray, C_en: FloatArray, seen: NDArray[np.bool_]
+) -> FloatArray:
+    sight = places - position_e[:, None, :]
+    sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+    sight = np.einsum("kji,knj->kni", C_en, sight) * seen[:, :, None]
+    return np.hstack([sight.reshape(len(seen), -1), seen])
 
 
 def _turn_axes(world: GroundTruth) -> FloatArray:

@@ -24,6 +24,7 @@ from .run import (
     build_world,
     fill_slots,
     find_epochs,
+    look_along,
     see_satellites,
 )
 from .satellites import Constellation
@@ -55,11 +56,19 @@ class Rules(NamedTuple):
 
 class SkyFacts(NamedTuple):
     """What is known of a world that has not been built: `satellite_ids` and `first_elevation` as of
-    `GroundTruth`, and `in_view` (K,) int8."""
+    `GroundTruth`, `in_view` (K,) int8, and `geometry` (E, 4n) at `probe_epochs`."""
 
     satellite_ids: tuple[str, ...]
     first_elevation: FloatArray
     in_view: NDArray[np.int8]
+    geometry: FloatArray
+
+
+PROBES = 16
+
+
+def probe_epochs(epochs: int) -> NDArray[np.int64]:
+    return np.linspace(0, epochs - 1, PROBES).astype(np.int64)
 
 
 def look_up(
@@ -76,7 +85,15 @@ def look_up(
     elevation, _, _ = _look(constellation, time[first], position_e[first])
     heights = np.full(channels, np.pi / 2)
     heights[: len(chosen)] = elevation[np.arange(len(chosen)), chosen]
-    return SkyFacts(ids, heights, seen.sum(axis=1).astype(np.int8))
+    at = probe_epochs(len(time))
+    places, C_en = np.zeros((PROBES, channels, 3)), _local_axes(position_e[at])
+    places[:, : len(chosen)] = np.nan_to_num(constellation.states(time[at]).position_e[:, chosen])
+    geometry = look_along(places, position_e[at], C_en, seen[at])
+    return SkyFacts(ids, heights, seen.sum(axis=1).astype(np.int8), geometry)
+
+
+def _local_axes(position_e: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(dcm_e_from_n(*ecef_to_geodetic(position_e)[:2]))
 
 
 def _look(
@@ -84,8 +101,7 @@ def _look(
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Elevation [rad], largest rate of it [rad/s], and whether it is known, (K, S) each."""
     states = constellation.states(time)
-    C_en = np.ascontiguousarray(dcm_e_from_n(*ecef_to_geodetic(position_e)[:2]))
-    elevation, _ = look_angles(states.position_e, position_e, C_en)
+    elevation, _ = look_angles(states.position_e, position_e, _local_axes(position_e))
     distance = np.linalg.norm(states.position_e - position_e[:, None], axis=-1)
     speed = np.linalg.norm(states.velocity_e, axis=-1)
     return elevation, speed / distance, np.isfinite(distance) & np.isfinite(speed)
@@ -285,6 +301,10 @@ class Skies(GroundTruth):
     def take(self, w: int) -> GroundTruth:
         self.build([w])
         return self._laid.take(w)
+
+    def probe(self) -> tuple[NDArray[np.int64], FloatArray]:
+        epochs = probe_epochs(self.epochs // self.worlds)
+        return epochs, np.array([each.geometry for each in self._facts])
 
     def list_first_elevations(self) -> FloatArray:
         return np.array([each.first_elevation for each in self._facts])
