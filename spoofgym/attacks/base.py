@@ -347,7 +347,7 @@ class Attack(ABC):
         lo, hi : int
             Slice of receivers to work on.
         """
-        memory, world, offsets = self.memory, self.world, (d_range, d_rate, lo, hi)
+        memory, world, offsets = self.memory, self.world.at_hand, (d_range, d_rate, lo, hi)
         self._equipment.advance(memory, world, epochs, lo, hi)
         given = self.idle if action is None else action
         moved = memory["displacement"], memory["rate"]

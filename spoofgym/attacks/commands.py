@@ -11,9 +11,21 @@ from ..core.declared import setting, settings_record
 from ..truth.run import GroundTruth
 from ._kernels import Commanded, displaced_ranges, false_position, meaconer, per_channel
 from .base import Attack, AttackContext
-from .equipment import checked_vector
+from .equipment import FloatArray, checked_vector
 
 AXES = {"n": "north", "e": "east", "d": "down"}
+
+
+def tabulate_axes(world: GroundTruth, letters: str) -> FloatArray:
+    """(K, a, 6) local axes, of the letters n, e and d, at every epoch in ECEF axes, and their rates
+    of change [1/s]; of worlds that have been built."""
+    columns = ["ned".index(letter) for letter in letters]
+
+    def compute(part: GroundTruth) -> FloatArray:
+        both = (each[:, :, columns] for each in (part.C_en, part.axes_turning))
+        return np.concatenate([*both], axis=1).transpose(0, 2, 1)
+
+    return world.at_hand.tabulate(("axes", letters), (len(columns), 6), compute)
 
 
 @settings_record(kw_only=True)
@@ -53,12 +65,10 @@ class FalsePosition(Attack):
     def action_names(self, world: GroundTruth) -> tuple[str, ...]:
         return tuple(f"{AXES[letter]}_{self.control}" for letter in self.axes)
 
-    def bind(self, context: AttackContext) -> None:
-        super().bind(context)
-        columns = ["ned".index(letter) for letter in self.axes]
-        axes = context.world.C_en, context.world.axes_turning
-        self.axes_e = np.concatenate([each[:, :, columns] for each in axes], axis=1)
-        self.axes_e = np.ascontiguousarray(self.axes_e.transpose(0, 2, 1))
+    @property
+    def axes_e(self) -> FloatArray:
+        """(K, a, 6) commanded axes in ECEF axes, and their rates of change [1/s]."""
+        return tabulate_axes(self.world, self.axes)
 
     def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:
         false_position(commanded, self.axes_e, self.memory["target_error"], *rest)
@@ -145,10 +155,12 @@ class Meaconer(Attack):
         self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
     ) -> None:
         super().start_episodes(rows, keys, onsets)
-        self.memory["antenna"][rows] = (self.world.C_en[onsets] * self.antenna_m).sum(axis=2)
+        self.memory["antenna"][rows] = (self.world.at_hand.C_en[onsets] * self.antenna_m).sum(
+            axis=2
+        )
 
     def _displace(self, commanded: Commanded, rest: tuple[Any, ...]) -> None:
-        world, memory, (epochs, *_, lo, hi) = self.world, self.memory, rest
+        world, memory, (epochs, *_, lo, hi) = self.world.at_hand, self.memory, rest
         if self.follows:
             coming, here = epochs[lo:hi] + 1, slice(lo, hi)
             memory["antenna"][here] = (world.C_en[coming] * self.antenna_m).sum(axis=2)

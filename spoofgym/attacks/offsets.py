@@ -16,7 +16,7 @@ from ..truth.noise import normals, pad_count
 from ..truth.run import GroundTruth
 from . import _offset_kernels as kernels
 from .base import Attack, AttackContext
-from .commands import AXES
+from .commands import AXES, tabulate_axes
 from .equipment import FloatArray
 
 BASES = {
@@ -190,17 +190,20 @@ class Offsets(Attack):
             bases=np.zeros((b, max(axes - FIX, 0) * (self.basis == "rotated")), dtype=np.int64),
             residual=np.full((b, n), np.nan),
         )
-        both = np.concatenate([world.C_en, world.axes_turning], axis=1)
-        self.axes_e = np.ascontiguousarray(both.transpose(0, 2, 1))
         limits = self.rate_limit_mps, self.acceleration_limit_mps2
         numbers = *map(float, limits), bool(self.coherent), self.action_scales(world)
         self._rules = kernels.Rules(BASES[self.basis], self.control == "offset", *numbers)
+
+    @property
+    def axes_e(self) -> FloatArray:
+        """(K, 3, 6) local axes, as of `FalsePosition`."""
+        return tabulate_axes(self.world, "ned")
 
     def start_episodes(
         self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
     ) -> None:
         super().start_episodes(rows, keys, onsets)
-        elevation, _ = self.world.look(onsets)
+        elevation, _ = self.world.at_hand.look(onsets)
         for row, key, onset, height in zip(rows, keys, onsets, elevation, strict=True):
             order = self._order_slots(self._rank(key, int(onset), height), int(onset), height)
             taken = np.zeros_like(self.mask)
@@ -216,7 +219,7 @@ class Offsets(Attack):
             normals(key[0], key[1], 2 * onset + 1, place)
         elif some is not None and some[3]:
             place = -elevation if some[3] == "highest" else elevation
-        hidden = ~self.world.visible[onset] if some is not None and some[3] else ~self.mask
+        hidden = ~self.world.at_hand.visible[onset] if some is not None and some[3] else ~self.mask
         return np.lexsort((place[: len(self.mask)], hidden, ~self.mask))
 
     def _order_slots(
@@ -224,7 +227,7 @@ class Offsets(Attack):
     ) -> NDArray[np.intp]:
         chosen = np.sort(rank[: self.memory["orders"].shape[1]])
         if self.slot_order == "elevation":
-            empty = ~self.world.satellites[onset, chosen, :3].any(axis=1)
+            empty = ~self.world.at_hand.satellites[onset, chosen, :3].any(axis=1)
             chosen = chosen[np.lexsort((-elevation[chosen], empty))]
         return chosen
 
@@ -233,7 +236,8 @@ class Offsets(Attack):
         which fix the position, so that the axes never lose their directions."""
         if not self.memory["bases"].shape[1]:
             return order[:0]
-        seen, world = self.world.visible[onset, order], self.world
+        world = self.world.at_hand
+        seen = world.visible[onset, order]
         sight = world.satellites[onset, order, :3] - world.position_e[onset]
         sight /= np.linalg.norm(sight, axis=1, keepdims=True)
         design = np.column_stack([sight, np.ones(len(order))]) * seen[:, None]
@@ -280,7 +284,7 @@ class Offsets(Attack):
         shape, moved = self.memory["orders"].shape, self._moved
         played, requested = np.empty((2, *shape))
         live = np.empty(self.idle.shape, dtype=np.bool_)
-        truth = epochs, self.world.epoch_truth
+        truth = epochs, self.world.at_hand.epoch_truth
         kernels.list_offsets(moved.displacement, *known, *truth, played, live)
         kernels.list_offsets(moved.requested, *known, *truth, requested, live)
         return {"offsets_m": played, "requested_offsets_m": requested, "action_mask": live}

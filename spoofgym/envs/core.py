@@ -197,7 +197,7 @@ class SpoofCore:
             threads=threads,
             prefetch=prefetch,
             twin=twin,
-            warm_pool=warm_pool,
+            warm_pool=warm_pool or None,
         )
         self.receivers, self.episode_steps = receivers, setup.steps // setup.repeat
         self.observer = Observer(seen, self.setup)

@@ -29,6 +29,8 @@ VICTIMS: dict[str, type[Setup]] = {
     "wheeled-robot": WheeledRobotSetup,
 }
 """Kinds of victims by name."""
+PASTS, POOLED_FROM_S = 256, 300.0
+"""Pasts that episodes share by default where receivers may be older than this at the onset [s]."""
 _OWN = ("self", "receivers", "setup", "threads", "prefetch")
 CORE = {
     name: parameter.replace(kind=parameter.KEYWORD_ONLY)
@@ -78,7 +80,16 @@ def make_core(
     check_keywords(whose, settings, list_parameters(setup_type))
     setup = make_setup(setup_type, settings)
     chosen = {name: settings[name] for name in CORE if settings.get(name) is not None}
+    chosen["warm_pool"] = _count_pasts(setup, settings.get("warm_pool"))
     return SpoofCore(receivers, setup, threads=threads, prefetch=prefetch, **chosen)
+
+
+def _count_pasts(setup: Setup, given: int | None) -> int | None:
+    """How many pasts the episodes of an environment share; None where each has its own."""
+    if given is None:
+        drawn = setup.domain.age_s is not None
+        return PASTS if drawn and setup.onset * setup.interval_s > POOLED_FROM_S else None
+    return given or None
 
 
 def compose(

@@ -60,7 +60,7 @@ class Observer:
         latent: list[str] = []
         low: list[float] = []
         high: list[float] = []
-        tables: list[FloatArray] = []
+        tables: list[tuple[slice, FloatArray]] = []
         self.command: tuple[float, ...] = (-1.0, 0.0, 0.0, 0.0, -1.0, -1.0)
         self.per_rate = np.zeros(len(setup.action_names))
         for term in terms:
@@ -73,15 +73,17 @@ class Observer:
             high.extend([most] * len(own))
             table = term.table(setup) if hasattr(term, "table") else None
             if table is not None:
-                tables.append(np.clip(table, least, most))
+                tables.append((part, np.clip(table, least, most)))
                 continue
-            tables.append(np.zeros((len(setup.epoch_time), len(own))))
             if holds_for_call(term, "factors"):
                 per_displacement, self.per_rate, *axes = cast("Any", term).factors(setup)
                 self.command = (float(part.start), per_displacement, least, most, *axes)
             else:
                 self._parts.append((cast("DynamicTerm", term), part))
-        self.table = np.ascontiguousarray(np.hstack(tables), dtype=np.float32)
+        # zeros that nothing is written to take no memory
+        self.table = np.zeros((len(setup.epoch_time), len(names)), dtype=np.float32)
+        for part, values in tables:
+            self.table[:, part] = values
         self._rules = np.array([0.0] * COMMAND_COLUMN + list(self.command))
         self.names = tuple(names)
         self.latent_names = tuple(latent)

@@ -281,9 +281,10 @@ class SpoofEnv(CoreEnv[SpoofCore]):
         instead of the error less that at the onset, and an alarm costs nothing once the twin has
         alarmed.  It takes up to twice the time.
     warm_pool : int, optional
-        Start all episodes as copies of so many receivers that are warmed up once, picked by the
-        seed of the episode, with fresh noise from the onset on; by default each has a warm-up of
-        its own.  See `Engine`.
+        Start all episodes as copies of so many receivers that are at their onset, picked by the
+        seed of the episode, with fresh noise from then on; 0: each has a past of its own.  By
+        default 256 where the domain draws ages of which any is above five minutes, else 0.  For
+        training alone: scores and calibration use every past once.  See `Engine`.
     render_mode : {"human", "rgb_array"}, optional
         Whether a window shows the episode, or `render` returns pictures of it.
 

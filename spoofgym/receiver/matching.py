@@ -71,6 +71,7 @@ coasts for longer believes in more error than there is.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -143,20 +144,32 @@ def _rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _augmented_noise(grade: str, errors: GnssErrors, n: int) -> tuple[FloatArray, NoiseModel]:
+def _augmented_noise(grade: str, errors: GnssErrors) -> NoiseModel:
     """What is left white where a filter has states for the rest: the data sheet's noise."""
     sheet = IMU_GRADES[grade]
     inertial = matched_sensors(grade, Motion())._replace(
         accel_bias_sd=_rms(sheet.accel_bias), gyro_bias_sd=_rms(sheet.gyro_bias)
     )
-    model = NoiseModel(
+    return NoiseModel(
         pseudorange_sd=max(errors.code_sd_m, LEAST_SD),
         range_rate_sd=max(errors.range_rate_sd_mps, LEAST_SD),
         clock_phase_psd=errors.clock.phase_psd,
         clock_frequency_psd=errors.clock.frequency_psd,
         inertial=inertial,
     )
-    return np.repeat([model.pseudorange_sd**2, model.range_rate_sd**2], n), model
+
+
+def _fixed_noise(receiver: TightlyCoupled, errors: GnssErrors) -> NoiseModel | None:
+    """Noise of a receiver that does not depend on how it moves; None for another."""
+    if depends_on_motion(receiver):
+        return None
+    augmented = receiver.tuning == "augmented"
+    return _augmented_noise(receiver.grade, errors) if augmented else receiver.noise_model
+
+
+def depends_on_motion(receiver: TightlyCoupled) -> bool:
+    """Whether it matters to what a receiver assumes how the vehicle manoeuvres."""
+    return receiver.matches and receiver.tuning != "augmented"
 
 
 def inflation(alpha: float, epochs: int) -> float:
@@ -166,43 +179,48 @@ def inflation(alpha: float, epochs: int) -> float:
     return (1.0 + alpha) / rest - 2.0 * alpha * (1.0 - alpha**epochs) / (epochs * rest**2)
 
 
-def compute_assumed_noise(
+def compute_assumed_variance(
     receiver: TightlyCoupled,
     errors: GnssErrors,
     bias_sd: FloatArray,
-    world: GroundTruth,
+    elevation: FloatArray,
+    interval_s: float,
     epochs: int,
-    flown: int | None = None,
-    wandering: bool = False,
-) -> tuple[FloatArray, NoiseModel]:
-    """R (2n,) that a receiver assumes, pseudoranges first [m^2], [m^2/s^2], and its clock and
-    inertial sensors. `bias_sd` (n,) of the constant biases [m]; `flown`: epochs of the world whose
-    manoeuvres it may meet; as many as `epochs` by default; `wandering`: whether the biases of the
-    inertial sensors do."""
-    n = len(bias_sd)
-    interval_s = float(world.epoch_time[1] - world.epoch_time[0])
-    if receiver.tuning == "augmented":
-        return _augmented_noise(receiver.grade, errors, n)
-    if not receiver.matches:
-        model = receiver.noise_model
-        return np.repeat([model.pseudorange_sd**2, model.range_rate_sd**2], n), model
-    model = NoiseModel(
-        pseudorange_sd=errors.code_sd_m,
-        range_rate_sd=errors.rate_sd(interval_s),
-        clock_phase_psd=errors.clock.phase_psd,
-        clock_frequency_psd=errors.clock.frequency_psd,
-        inertial=matched_sensors(
-            receiver.grade, compute_motion(world, epochs if flown is None else flown), wandering
-        ),
-    )
-    pseudorange = model.pseudorange_sd**2 + epochs * bias_sd**2
+) -> FloatArray:
+    """R (2n,) that a receiver assumes, pseudoranges first [m^2], [m^2/s^2]. `bias_sd` (n,) of the
+    constant biases [m]; `elevation` (n,) of the satellites when they come into view [rad]."""
+    n, fixed = len(bias_sd), _fixed_noise(receiver, errors)
+    if fixed is not None:
+        return np.repeat([fixed.pseudorange_sd**2, fixed.range_rate_sd**2], n)
+    pseudorange = errors.code_sd_m**2 + epochs * bias_sd**2
     if errors.correlated_sd_m > 0.0:
         alpha = math.exp(-interval_s / errors.correlation_s)
         pseudorange += inflation(alpha, epochs) * errors.correlated_sd_m**2
     if errors.signals is not None:
         lag: FloatArray = interval_s * np.arange(1.0, epochs)
         falls = 2.0 * (1.0 - np.arange(1.0, epochs) / epochs)
-        for sd, time_s, second_order in errors.signals.wandering(world.first_elevation):
+        for sd, time_s, second_order in errors.signals.wandering(elevation):
             factor = 1.0 + float(np.sum(falls * correlation(lag, time_s, second_order)))
             pseudorange += factor * sd**2
-    return np.concatenate([pseudorange, np.full(n, model.range_rate_sd**2)]), model
+    return np.concatenate([pseudorange, np.full(n, errors.rate_sd(interval_s) ** 2)])
+
+
+def compute_assumed_noise(
+    receiver: TightlyCoupled,
+    errors: GnssErrors,
+    interval_s: float,
+    motion: Callable[[], Motion],
+    wandering: bool = False,
+) -> NoiseModel:
+    """What a receiver assumes of its clock and inertial sensors. `motion` of the world, which a
+    matched one knows; `wandering`: whether the biases of the inertial sensors do."""
+    fixed = _fixed_noise(receiver, errors)
+    if fixed is not None:
+        return fixed
+    return NoiseModel(
+        pseudorange_sd=errors.code_sd_m,
+        range_rate_sd=errors.rate_sd(interval_s),
+        clock_phase_psd=errors.clock.phase_psd,
+        clock_frequency_psd=errors.clock.frequency_psd,
+        inertial=matched_sensors(receiver.grade, motion(), wandering),
+    )

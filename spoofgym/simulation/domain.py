@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
@@ -17,11 +17,17 @@ from ..core.registry import build_record, check_choice, require
 from ..earth.attitude import euler_to_dcm
 from ..receiver import TightlyCoupled
 from ..receiver.augmented import FilterModel, SignalModel, signal_model
-from ..receiver.matching import compute_assumed_noise
+from ..receiver.matching import (
+    Motion,
+    compute_assumed_noise,
+    compute_assumed_variance,
+    compute_motion,
+    depends_on_motion,
+)
 from ..receiver.tight import NoiseModel
 from ..truth.events import BenignEvents
 from ..truth.gnss_errors import ERRORS, RENAMED, GnssErrors
-from ..truth.run import GroundTruth, take_world
+from ..truth.run import GroundTruth
 from ..truth.satellites import CircularConstellation
 from ..truth.scenario import TURN_ON, Scenario
 from ..truth.sensors import IMU_GRADES, ImuGrade
@@ -308,26 +314,37 @@ def _index(name: str, values: Sequence[Any], names: Sequence[str]) -> IntArray:
     return np.array([list(names).index(str(value)) for value in values], dtype=np.int64)
 
 
-class Combination(NamedTuple):
-    """One combination of world, grade and errors, and what the victim assumes there.
+class Assumption(NamedTuple):
+    """What the victim assumes of the signals in one combination of world, grade and errors.
 
     `bias_sd` (n,) of the satellites' constant biases [m]; `noise_variance` (2n,) R;
-    `epoch_variance` (2n,) what it assumes of one epoch alone; `noise` of clock and inertial
-    sensors; `noise_psd` (17,) of its states; `covariance` (17, 17) at the start; `assumed` errors
-    of the signals, and `assumed_bias_sd` (n,) of their constants [m]; `assumed_grade` of the
-    inertial sensors.
+    `epoch_variance` (2n,) what it assumes of one epoch alone; `assumed` errors of the signals, and
+    `assumed_bias_sd` (n,) of their constants [m]; `victim` with the `grade` of its inertial
+    sensors.
     """
+
+    grade: str
+    errors: GnssErrors
+    bias_sd: FloatArray
+    noise_variance: FloatArray
+    epoch_variance: FloatArray
+    assumed: GnssErrors
+    assumed_bias_sd: FloatArray
+    victim: TightlyCoupled
+
+
+class Combination(NamedTuple):
+    """One combination of world, grade and errors in which an episode takes place: what its sensors
+    are, and what the victim assumes. `noise` of clock and inertial sensors; `noise_psd` (17,) of
+    its states; `covariance` (17, 17) at the start; the others as in `Assumption`."""
 
     grade: ImuGrade
     errors: GnssErrors
     bias_sd: FloatArray
     noise_variance: FloatArray
-    epoch_variance: FloatArray
     noise: NoiseModel
     noise_psd: FloatArray
     covariance: FloatArray
-    assumed: GnssErrors
-    assumed_bias_sd: FloatArray
     assumed_grade: str
 
 
@@ -387,14 +404,35 @@ class Combinations:
         self._grades = [IMU_GRADES[name] for name in self.names["imu"]]
         self.grades, self.errors = len(self._grades), len(errors)
         self._interval_s = scenario.epoch_interval_s
+        self._step_s = float(world.epoch_time[1] - world.epoch_time[0])
+        self._length, self._flown = epochs, flown
+        self._turned = domain.turned_deg[0] < domain.turned_deg[1]
         grades = self.names["imu"]
-        victims = [(g, replace(receiver, grade=g) if domain.imu else receiver) for g in grades]
+        self.victims = [replace(receiver, grade=g) if domain.imu else receiver for g in grades]
+        self._made: dict[int, Combination] = {}
         self._all = [
-            _combination(each, grade, error, belief, victim, epochs, flown, self.wandering)
-            for each in (take_world(world, w, worlds) for w in range(worlds))
-            for grade, victim in victims
-            for error, belief in zip(errors, assumed, strict=True)
+            self._assume(elevation, grade, victim, *errors_)
+            for elevation in world.list_first_elevations()
+            for grade, victim in zip(grades, self.victims, strict=True)
+            for errors_ in zip(errors, assumed, strict=True)
         ]
+
+    def _assume(
+        self,
+        elevation: FloatArray,
+        grade: str,
+        victim: TightlyCoupled,
+        errors: GnssErrors,
+        assumed: GnssErrors,
+    ) -> Assumption:
+        bias_sd, believed = errors.bias_sd(elevation), assumed.bias_sd(elevation)
+        world = elevation, self._step_s, self._length
+        variance = compute_assumed_variance(victim, assumed, believed, *world)
+        single = variance
+        if victim.matches:
+            rates = np.full(len(bias_sd), assumed.rate_sd(self._step_s) ** 2)
+            single = np.concatenate([assumed.epoch_variance(elevation), rates])
+        return Assumption(grade, errors, bias_sd, variance, single, assumed, believed, victim)
 
     def index(
         self, world: NDArray[np.int64], grade: NDArray[np.int64], error: NDArray[np.int64]
@@ -421,7 +459,7 @@ class Combinations:
             "a receiver with `tuning` 'augmented' takes one grade of inertial sensors and "
             "one kind of errors, with the same constants in all worlds of the domain",
         )
-        wandering = IMU_GRADES[first.assumed_grade] if self.wandering else None
+        wandering = IMU_GRADES[first.victim.grade] if self.wandering else None
         return signal_model(first.assumed, first.assumed_bias_sd, interval_s, wandering)
 
     @cached_property
@@ -431,9 +469,10 @@ class Combinations:
         if not self._model_alike:
             return None
         first = self._all[0]
-        victim = TightlyCoupled(grade=first.assumed_grade, tuning="augmented")
-        bias_sd = first.assumed_bias_sd
-        variance, noise = compute_assumed_noise(victim, first.assumed, bias_sd, self.world, 0)
+        victim = TightlyCoupled(grade=first.victim.grade, tuning="augmented")
+        known = victim, first.assumed, first.assumed_bias_sd, np.zeros(0), self._step_s, 0
+        variance = compute_assumed_variance(*known)
+        noise = compute_assumed_noise(victim, first.assumed, self._step_s, Motion)
         return FilterModel(
             signals=self.signal_model(self._interval_s),
             noise_psd=victim.noise_psd(noise),
@@ -443,14 +482,33 @@ class Combinations:
         )
 
     def __getitem__(self, index: int) -> Combination:
-        return self._all[index]
+        """One in a world that has been built."""
+        if index not in self._made:
+            self._made[index] = self._complete(index)
+        return self._made[index]
+
+    def _complete(self, index: int) -> Combination:
+        given, world = self._all[index], self.world.take(index // (self.grades * self.errors))
+        motion = partial(compute_motion, world, self._flown)
+        belief = given.victim, given.assumed, self._step_s, motion, self.wandering
+        noise, sheet = compute_assumed_noise(*belief), IMU_GRADES[given.grade]
+        sheet = sheet._replace(  # the increments are quantized before they are summed up
+            accel_quantization=sheet.accel_quantization / world.decimation,
+            gyro_quantization=sheet.gyro_quantization / world.decimation,
+        )
+        psd, covariance = given.victim.noise_psd(noise), given.victim.initial_covariance(noise)
+        errors = given.errors, given.bias_sd, given.noise_variance
+        return Combination(sheet, *errors, noise, psd, covariance, given.victim.grade)
 
     @property
     def assume_alike(self) -> bool:
+        """Whether a victim assumes the same noise in all combinations."""
         first = self._all[0]
-        return all(
+        turned = self._turned and any(map(depends_on_motion, self.victims))
+        return not turned and all(
             np.array_equal(case.noise_variance, first.noise_variance)
-            and np.array_equal(case.noise_psd, first.noise_psd)
+            and case.victim == first.victim
+            and case.assumed == first.assumed
             for case in self._all
         )
 
@@ -458,7 +516,7 @@ class Combinations:
     def sense_alike(self) -> bool:
         first = self._all[0]
         return not self.drawn and all(
-            case.grade is first.grade and case.errors == first.errors for case in self._all
+            case.grade == first.grade and case.errors == first.errors for case in self._all
         )
 
     @property
@@ -473,7 +531,8 @@ class Combinations:
         """(b, 3, 3) attitudes, to ECEF from body axes, with which receivers start at `epochs`, with
         the first error of their grades."""
         errors = np.array([_first_turn(each) for each in self._grades])[grade]
-        C_en, C_eb = self.world.C_en[epochs], self.world.C_eb[epochs]
+        world = self.world.at_hand
+        C_en, C_eb = world.C_en[epochs], world.C_eb[epochs]
         # the error turns the local axes: C_nb (estimated) = dC C_nb
         C_ne = np.ascontiguousarray(C_en.transpose(0, 2, 1))
         return np.asarray(C_en @ (errors.transpose(0, 2, 1) @ (C_ne @ C_eb)))
@@ -482,33 +541,3 @@ class Combinations:
 def _first_turn(grade: ImuGrade) -> FloatArray:
     """(3, 3) error of the local axes with which a receiver of this grade starts."""
     return euler_to_dcm(*(-np.radians(grade.attitude_error_deg)))
-
-
-def _combination(
-    world: GroundTruth,
-    grade: str,
-    errors: GnssErrors,
-    assumed: GnssErrors,
-    receiver: TightlyCoupled,
-    epochs: int,
-    flown: int,
-    wandering: bool,
-) -> Combination:
-    elevation = world.first_elevation
-    bias_sd = errors.bias_sd(elevation)
-    believed = assumed.bias_sd(elevation)
-    given = assumed, believed, world, epochs, flown
-    variance, noise = compute_assumed_noise(receiver, *given, wandering=wandering)
-    single = variance
-    if receiver.matches:
-        interval_s = float(world.epoch_time[1] - world.epoch_time[0])
-        rates = np.full(len(bias_sd), assumed.rate_sd(interval_s) ** 2)
-        single = np.concatenate([assumed.epoch_variance(elevation), rates])
-    psd, covariance = receiver.noise_psd(noise), receiver.initial_covariance(noise)
-    sheet = IMU_GRADES[grade]
-    sheet = sheet._replace(  # the increments are quantized before they are summed up
-        accel_quantization=sheet.accel_quantization / world.decimation,
-        gyro_quantization=sheet.gyro_quantization / world.decimation,
-    )
-    beliefs = assumed, believed, receiver.grade
-    return Combination(sheet, errors, bias_sd, variance, single, noise, psd, covariance, *beliefs)

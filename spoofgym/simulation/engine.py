@@ -16,9 +16,18 @@ from ..core.simd import LANES
 from ..detectors import Verdict
 from ..receiver.epoch import Epoch
 from .domain import FloatArray, apply_choices, draw
-from .prefetch import PIECE, STOCK, NextEpisodes
+from .prefetch import MOST_TOGETHER, PIECE, STOCK, NextEpisodes
 from .setup import Setup
-from .simulator import FixedChoices, Rngs, Rows, Sequel, Simulator, run_serially
+from .simulator import (
+    FixedChoices,
+    Rngs,
+    Rows,
+    Sequel,
+    Simulator,
+    domain_keys,
+    episode_seeds,
+    run_serially,
+)
 from .threads import Workers
 
 T = TypeVar("T")
@@ -57,12 +66,13 @@ class Engine:
         Whether a clean twin of every receiver runs, too: the same flight, noise and detector, but
         no attack.  It shares the warm-up.
     warm_pool : int, optional
-        Warm up only so many receivers M, once, of seeds that are the same for every engine
-        (`POOL_SEED`): each episode starts as a copy of the one that its seed picks, satellite
-        biases, domain and ``warmup_alarm`` included, and has noise of its own from the onset on.
-        So there are M pasts instead of a new one for every episode, and the bits are others than
-        without; they are the same for the same M and seed in any batch.  There is nothing to
-        `prefetch` then, and nothing of an episode can be given.
+        Only so many pasts M, of seeds that are the same for every engine (`POOL_SEED`): each
+        episode starts as a copy of the one that its seed picks, satellite biases, domain and
+        ``warmup_alarm`` included, and has noise of its own from the onset on.  A past is flown when
+        it is first picked, with others, so that there are at least twice as many afterwards.  The
+        bits are others than without; they are the same for the same M and seed in any batch.  There
+        is nothing to `prefetch` then.  An episode of which something is given has a past of its
+        own.  For training: 1024 episodes of 32 pasts are worth some 36 in a score.
 
     Attributes
     ----------
@@ -100,6 +110,7 @@ class Engine:
         self._all_rows = np.arange(receivers)
         self._few: dict[tuple[bool, int], Simulator] = {}
         self._pool: Simulator | None = None
+        self._flown = np.zeros(self.warm_pool or 0, dtype=np.bool_)
         self._next: NextEpisodes | None = None
         if prefetch:
             waiting = setup.simulator(STOCK * receivers, run_serially)
@@ -113,6 +124,7 @@ class Engine:
         """End the threads, and let go of `warm_pool`; both are there again when they are needed."""
         self._workers.close()
         self._pool = None
+        self._flown[:] = False
 
     def _run(self, work: Callable[[int, int], None], receivers: int) -> None:
         parts = min(SLICES_PER_THREAD * self.threads, receivers // LEAST_SLICE)
@@ -131,11 +143,6 @@ class Engine:
         per row (see `domain.CHOICES`)."""
         self._workers.settle()
         where = self._all_rows if rows is None else rows
-        if given and self.warm_pool is not None:
-            raise ValueError(
-                f"with `warm_pool` {self.warm_pool} the circumstances of an episode are those of "
-                f"the pool: {', '.join(given)} can't be given"
-            )
         if given:
             # refused before any episode has been started
             setup = self.setup
@@ -153,9 +160,11 @@ class Engine:
             self.twin.copy_rows(where, self.simulator, where)
 
     def _reset(self, rngs: Rngs, where: Rows, given: FixedChoices | None) -> None:
-        if self.warm_pool is not None:
-            self._pool = self._pool or self._warmed_pool(self.warm_pool)
-            self.simulator.start_from(self._pool, where, rngs)
+        if self.warm_pool is not None and not given:
+            episodes = episode_seeds(rngs)
+            picked = domain_keys(episodes)[:, 0] % np.uint64(self.warm_pool)
+            rows = picked.astype(np.intp)
+            self.simulator.start_from(self._fly_pasts(rows), where, episodes, rows)
             return
         if self._next is None:
             self._warm_up_rows(rngs, where, given)
@@ -182,11 +191,21 @@ class Engine:
         if not whole:
             self.simulator.copy_rows(rows, part, np.arange(len(rows)))
 
-    def _warmed_pool(self, receivers: int) -> Simulator:
-        seeds = (np.random.SeedSequence(POOL_SEED, spawn_key=(k,)) for k in range(receivers))
-        pool: Simulator = self.setup.simulator(receivers, self._run)
-        pool.warm_up([np.random.default_rng(seed) for seed in seeds])
-        return pool
+    def _fly_pasts(self, picked: Rows) -> Simulator:
+        """The pool, in which those that are picked have come to their onset."""
+        if self._pool is None:
+            self._pool = self.setup.simulator(len(self._flown), self._run)
+        lacking = np.unique(picked[~self._flown[picked]])
+        if len(lacking):
+            more = min(int(self._flown.sum()), MOST_TOGETHER) - len(lacking)
+            others = np.setdiff1d(np.flatnonzero(~self._flown), lacking)[: max(more, 0)]
+            rows = np.concatenate([lacking, others])
+            seeds = (np.random.SeedSequence(POOL_SEED, spawn_key=(k,)) for k in rows.tolist())
+            part: Simulator = self.setup.simulator(len(rows), self._run)
+            part.warm_up([np.random.default_rng(seed) for seed in seeds])
+            self._pool.copy_rows(rows, part, np.arange(len(rows)))
+            self._flown[rows] = True
+        return self._pool
 
     def predict(self, command: FloatArray | None) -> Epoch:
         return self.simulator.predict(command)

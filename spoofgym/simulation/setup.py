@@ -369,6 +369,11 @@ class Setup(ABC):
         """(K, len(geometry_names)) geometry at every epoch; None where there is no table."""
         return None
 
+    def probe_geometry(self) -> FloatArray | None:
+        """(P, len(geometry_names)) some rows of the table, of several worlds, that are in attack
+        windows of some episodes; None where no more is known than the table."""
+        return None
+
     @abstractmethod
     def simulator(self, receivers: int, run: Run) -> Any:
         """`Simulator` of B receivers of this victim, not started yet."""

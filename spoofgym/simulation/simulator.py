@@ -465,12 +465,12 @@ class Simulator(ABC):
         part.copy_rows(np.arange(len(rows)), self, rows)
         return part
 
-    def start_from(self, pool: Self, rows: Rows, rngs: Rngs) -> None:
-        """Let some receivers start new episodes as copies of a pool's that have come to the onset.
-        The seed of an episode picks the copy, and gives all noise after the onset."""
-        episodes = episode_seeds(rngs)
-        picked = domain_keys(episodes)[:, 0] % np.uint64(pool.receivers)
-        self.copy_rows(rows, pool, picked.astype(np.intp))
+    def start_from(
+        self, pool: Self, rows: Rows, episodes: Sequence[np.random.SeedSequence], picked: Rows
+    ) -> None:
+        """Let some receivers start new episodes as copies of the `picked` of a pool that have come
+        to the onset. The seed of an episode gives all noise after the onset."""
+        self.copy_rows(rows, pool, picked)
         self._renew(rows, episodes)
 
     def layout(self) -> EpisodeLayout:

@@ -28,14 +28,13 @@ from ..receiver.epoch import Epoch, ReceiverBuffers, epoch_view, kernel_table
 from ..receiver.states import STATES
 from ..receiver.tight import TUNINGS
 from ..truth.events import BenignEvents, EventWindow, draw_events
-from ..truth.flight import split_rows
 from ..truth.noise import pad_count
-from ..truth.run import GroundTruth
+from ..truth.run import GroundTruth, see_geometry
 from ..truth.scenario import Scenario, make_scenario
 from ..truth.sensors import SensorBuffers
 from ..truth.signal_errors import MAPPINGS, compute_mappings
 from . import _kernels
-from ._kernels import JUDGE, REMEMBER, displace
+from ._kernels import JUDGE, REMEMBER, displace, local_motion
 from .domain import Choice, Combinations, Domain, FloatArray, build_worlds
 from .setup import Run, SequelKernel, Setup, Timeline
 from .simulator import Rngs, Rows, Sequel, Simulator, SkyData
@@ -111,13 +110,10 @@ class TightlyCoupledSetup(Setup):
         given = self.world, worlds, self.scenario, self.receiver, self.domain
         self.combinations = Combinations(*given, self.length, last + self.length)
         self.epoch_time = self.world.epoch_time
-        self.true_position, self.C_en = self.world.position_e, self.world.C_en
         cases = self.combinations
         self.bounds = self._bounds(cases.worlds, cases.grades, cases.errors, first, last)
         self.epochs_each = self.world.epochs // self.bounds.worlds
-        self.mappings = np.zeros(0)
-        if cases.with_signals:
-            self.mappings = self._tabulate_mappings()
+        self._hold_tables()
         slots = [f"slot{s:02d}" for s in range(self.world.channels)]
         self.weight_names = tuple(slots)
         self.geometry_names = (
@@ -126,14 +122,21 @@ class TightlyCoupledSetup(Setup):
         )
         self._check_first_fixes()
 
-    def _tabulate_mappings(self) -> FloatArray:
-        """(K, n, 6) `compute_mappings` at all epochs, world by world."""
-        each = self.epochs_each
-        table = np.empty((self.world.epochs, self.world.channels, MAPPINGS))
-        for first in range(0, len(table), each):
-            elevation, _ = self.world.look(slice(first, first + each))
-            table[first : first + each] = compute_mappings(elevation, self.interval_s, each)
-        return table
+    def _hold_tables(self) -> None:
+        """Hold what simulators read: of worlds that have not been built, there may be anything."""
+        world = self.world.at_hand
+        self.true_position, self.C_en, self.mappings = world.position_e, world.C_en, np.zeros(0)
+        if self.combinations.with_signals:
+            shape, compute = (world.channels, MAPPINGS), partial(_map_signals, self.interval_s)
+            self.mappings = world.tabulate(("mappings", self.interval_s), shape, compute)
+
+    def __getstate__(self) -> dict[str, Any]:
+        tables = ("true_position", "C_en", "mappings")
+        return {name: value for name, value in self.__dict__.items() if name not in tables}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._hold_tables()
 
     def world_settings(self) -> dict[str, Any]:
         scenario = describe(self.scenario)
@@ -167,27 +170,31 @@ class TightlyCoupledSetup(Setup):
         if self.onsets is None:
             return None
         table = np.empty((self.world.epochs, 6), dtype=np.float32)
+        self.world.build(range(self.bounds.worlds))
         epochs = np.arange(self.world.epochs)
         self.local_motion(epochs, self.onsets, per_position, per_velocity, table)
         return table
 
+    def local_motion(self, *epochs_to_out: Any) -> None:
+        velocity_e = self.world.at_hand.velocity_e
+        local_motion(self.true_position, velocity_e, self.C_en, *epochs_to_out)
+
     def geometry_table(self) -> FloatArray:
-        world = self.world
-        table = np.empty((world.epochs, len(self.geometry_names)))
-        for rows in split_rows(world.epochs):
-            seen = world.visible[rows]
-            sight = world.satellites[rows, :, :3] - world.position_e[rows, None, :]
-            sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
-            sight = np.einsum("kji,knj->kni", world.C_en[rows], sight) * seen[:, :, None]
-            table[rows] = np.hstack([sight.reshape(len(seen), -1), seen])
-        return table
+        return self.world.tabulate("geometry", (len(self.geometry_names),), see_geometry)
+
+    def probe_geometry(self) -> FloatArray | None:
+        epochs, geometry = self.world.probe()
+        inside = (epochs >= self.bounds.first + self.youngest) & (
+            epochs <= self.bounds.last + self.onset + self.steps + self.hold
+        )
+        return geometry[:, inside].reshape(-1, len(self.geometry_names)) if inside.any() else None
 
     def simulator(self, receivers: int, run: Run) -> TightlyCoupledSimulator:
         return TightlyCoupledSimulator(self, receivers, run)
 
     def _check_first_fixes(self) -> None:
         bounds, each = self.bounds, self.epochs_each
-        seen = self.world.visible.sum(axis=1).reshape(bounds.worlds, each)
+        seen = self.world.in_view.reshape(bounds.worlds, each)
         few = np.argwhere(seen[:, bounds.first : bounds.last + 1] < FIRST_FIX)
         if len(few):
             world, epoch = few[0]
@@ -206,6 +213,10 @@ def _commanded(
     if {"control", "basis"} & {*chosen}:
         return as_offsets(attack, **chosen)
     return replace(attack, threat="", **chosen) if chosen else attack
+
+
+def _map_signals(interval_s: float, world: GroundTruth) -> FloatArray:
+    return compute_mappings(world.elevation, interval_s, world.epochs)
 
 
 def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
@@ -268,7 +279,7 @@ class TightlyCoupledSimulator(Simulator):
         return epoch_view(self.buffers, self.augmented.shown if self.augmented else None)
 
     def _hold_arguments(self) -> None:
-        world, receiver = self.setup.world, self.setup.receiver
+        world, receiver = self.setup.world.at_hand, self.setup.receiver
         buffers, sensors = self.buffers, self.sensors
         sizes = pad_count(6 * world.most_samples), pad_count(2 * world.channels)
         rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize, *sizes)
@@ -309,8 +320,13 @@ class TightlyCoupledSimulator(Simulator):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
+        self._build_worlds(self.memory["first"])
         self.epoch = self._view()
         self._hold_arguments()
+
+    def _build_worlds(self, epochs: NDArray[np.int64]) -> None:
+        """Build the worlds that epochs are of, unless they are there."""
+        self.setup.world.build(np.unique(epochs // self.setup.epochs_each).tolist())
 
     @property
     def epochs(self) -> NDArray[np.int64]:
@@ -338,6 +354,7 @@ class TightlyCoupledSimulator(Simulator):
 
     def _start(self, choice: Choice) -> None:
         setup, b, first = self.setup, self.receivers, self.memory["first"]
+        self._build_worlds(first)
         combinations = setup.combinations
         self.sensors.epoch[:] = first
         self.memory["combination"][:] = combinations.index(choice.world, choice.grade, choice.error)
@@ -345,7 +362,7 @@ class TightlyCoupledSimulator(Simulator):
         self.attack.start_episodes(self._all_rows, self.sensors.words["spoofer"], self.onset)
         self._start_combinations()
         self._epochs(MEASURE, 0, b)
-        world, fields = setup.world, self.buffers.fields
+        world, fields = setup.world.at_hand, self.buffers.fields
         position_e, velocity_e, clock = np.empty((b, 3)), np.empty((b, 3)), np.empty((b, 2))
         measured = fields["innovation"].reshape(b, 2, world.channels)
         guess_e, now = world.position_e[first], (measured, world.satellites, first)
@@ -373,7 +390,7 @@ class TightlyCoupledSimulator(Simulator):
             self._draw_events(combinations.events)
 
     def _draw_events(self, events: BenignEvents) -> None:
-        setup, world, signals = self.setup, self.setup.world, self.sensors.signals
+        setup, world, signals = self.setup, self.setup.world.at_hand, self.sensors.signals
         sky = setup.interval_s, world.visible, world.look
         lasts = self.onset + setup.steps + setup.hold
         for row, start in enumerate(self.memory["first"].tolist()):
@@ -619,7 +636,7 @@ class TightlyCoupledSimulator(Simulator):
         self._run(partial(self._epochs, ADVANCE + UPDATE + SHOW, count=count), self.receivers)
 
     def error_n(self) -> FloatArray:
-        world = self.setup.world
+        world = self.setup.world.at_hand
         error_e = self.buffers.position_e - world.position_e[self.epochs]
         axes = world.C_en[self.epochs]
         # a sum of products, since the bits of a matrix product depend on the size of the batch, and
@@ -658,7 +675,7 @@ class TightlyCoupledSimulator(Simulator):
         return np.asarray(self.attack.memory["captured"].sum(axis=1))
 
     def _sky(self) -> SkyData:
-        world, epoch, offsets = self.setup.world, int(self.epochs[0]), self.sensors
+        world, epoch, offsets = self.setup.world.at_hand, int(self.epochs[0]), self.sensors
         elevation, azimuth = world.look(self.epochs[:1])
         return SkyData(
             names=world.satellite_ids,
@@ -668,6 +685,10 @@ class TightlyCoupledSimulator(Simulator):
             spoofed=(offsets.range_offset[0] != 0.0) | (offsets.rate_offset[0] != 0.0),
             weight=self.weights[0, : world.channels].copy(),
         )
+
+    def geometry(self, out: NDArray[np.float32]) -> None:
+        world, shape = self.setup.world.at_hand, (len(self.setup.geometry_names),)
+        out[:] = world.tabulate("geometry", shape, see_geometry)[self.epochs]
 
     def get_record_columns(self) -> dict[str, NDArray[Any]]:
         offsets = self.sensors

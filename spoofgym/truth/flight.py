@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -137,20 +138,43 @@ def rotate_flight(flight: Flight, angle: float) -> Flight:
 
     `angle`: turn :math:`\psi`, clockwise seen from above [rad].
     """
-    return _thin_out(flight, 1, angle)
+    return Course.of(flight, 1).fly(angle)
 
 
-def _thin_out(flight: Flight, count: int, angle: float) -> Flight:
-    """Every `count`-th state, turned as in `rotate_flight`; no more than these is computed."""
-    velocity_e, C_eb = flight.velocity_e, flight.C_eb[::count]
-    if angle != 0.0:
-        latitude, longitude, _ = ecef_to_geodetic(flight.position_e[0])
+class Course(NamedTuple):
+    """What the turned trajectories of a flight at one rate have in common. `time` (M+1,) and `C_eb`
+    (M+1, 3, 3) of every `count`-th state; `velocity_e` (N+1, 3) of all, `step` apart; `start_e`."""
+
+    name: str
+    count: int
+    step: float
+    time: NDArray[np.float64]
+    start_e: NDArray[np.float64]
+    velocity_e: NDArray[np.float64]
+    C_eb: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, flight: Flight, count: int) -> Course:
+        time, C_eb = (np.ascontiguousarray(each[::count]) for each in (flight.time, flight.C_eb))
+        start_e = flight.position_e[0].copy()
+        return cls(flight.name, count, flight.step, time, start_e, flight.velocity_e, C_eb)
+
+    def get_turn(self, angle: float) -> NDArray[np.float64]:
+        latitude, longitude, _ = ecef_to_geodetic(self.start_e)
         C_en = dcm_e_from_n(latitude, longitude)
-        turn = C_en @ euler_to_dcm(0.0, 0.0, angle) @ C_en.T
-        velocity_e, C_eb = velocity_e @ turn.T, turn @ C_eb
-    velocity_e = velocity_e[::count]
-    position_e = integrate_velocity(flight.position_e[0], velocity_e, count * flight.step)
-    return Flight(flight.name, flight.time[::count], position_e, velocity_e, C_eb)
+        return np.asarray(C_en @ euler_to_dcm(0.0, 0.0, angle) @ C_en.T)
+
+    def move(self, angle: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Position and velocity (M+1, 3), turned as in `rotate_flight`."""
+        velocity_e = self.velocity_e
+        if angle != 0.0:
+            velocity_e = velocity_e @ self.get_turn(angle).T
+        velocity_e = velocity_e[:: self.count]
+        return integrate_velocity(self.start_e, velocity_e, self.count * self.step), velocity_e
+
+    def fly(self, angle: float) -> Flight:
+        C_eb = self.C_eb if angle == 0.0 else self.get_turn(angle) @ self.C_eb
+        return Flight(self.name, self.time, *self.move(angle), C_eb)
 
 
 def check_closure(
@@ -273,13 +297,31 @@ def trajectory_at(
     and attitude are those of the flight; the position is the integral of that velocity over the
     longer samples, as of any flight, and so differs by millimetres. `turned`: angle of
     `rotate_flight` [rad]."""
-    count = 1
-    if imu_rate_hz is not None:
-        count = compute_decimation(flight.step, imu_rate_hz, epoch_interval_s)
-    if count > 1 or turned != 0.0:
-        flight = _thin_out(flight, count, turned)
-    largest = LARGEST_DECIMATED if count > 1 else LARGEST_ROTATION
-    return inverse_kinematics(flight, decimation=count, largest=largest)
+    return Headings(flight, imu_rate_hz, epoch_interval_s).trajectory(turned)
+
+
+class Headings:
+    """Trajectories of a flight in several directions, as `trajectory_at` has each; at a lower rate,
+    the flight's other samples are not kept."""
+
+    def __init__(self, flight: Flight, imu_rate_hz: float | None, epoch_interval_s: float) -> None:
+        self.count = 1
+        if imu_rate_hz is not None:
+            self.count = compute_decimation(flight.step, imu_rate_hz, epoch_interval_s)
+        self.course = Course.of(flight, self.count)
+        self._whole = flight if self.count == 1 else None
+
+    def trajectory(self, turned: float) -> Trajectory:
+        as_it_is = turned == 0.0 and self._whole is not None
+        flight = self._whole if as_it_is and self._whole is not None else self.course.fly(turned)
+        largest = LARGEST_DECIMATED if self.count > 1 else LARGEST_ROTATION
+        return inverse_kinematics(flight, decimation=self.count, largest=largest)
+
+    def positions(self, turned: float) -> NDArray[np.float64]:
+        """(M+1, 3) `position_e` of a trajectory, and nothing else of it."""
+        if turned == 0.0 and self._whole is not None:
+            return self._whole.position_e
+        return self.course.move(turned)[0]
 
 
 def compute_decimation(step: float, rate_hz: float, epoch_interval_s: float) -> int:

@@ -4,10 +4,9 @@ ones, which measure positions, and `Sky` of snapshot receivers, which have no in
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -125,17 +124,85 @@ class GroundTruth:
         """Memory of all arrays."""
         return sum(x.nbytes for x in vars(self).values() if isinstance(x, np.ndarray))
 
+    @property
+    def in_view(self) -> NDArray[np.integer[Any]]:
+        """(K,) number of visible slots."""
+        return np.asarray(self.visible.sum(axis=1))
+
+    @property
+    def worlds(self) -> int:
+        """How many there are, one after the other: 1, but for `Skies`."""
+        return 1
+
+    @property
+    def at_hand(self) -> GroundTruth:
+        """The same, for readers that look at worlds only once these have been built: see `Skies`;
+        elsewhere there may be anything."""
+        return self
+
+    def build(self, worlds: Iterable[int]) -> None:
+        """Build some of the worlds, unless they are there."""
+
+    def take(self, w: int) -> GroundTruth:
+        """World w, as views."""
+        return self
+
+    def probe(self) -> tuple[NDArray[np.int64], FloatArray]:
+        """Some epochs (E,) of a world, and (W, E, 4n) `see_geometry` there in every one, as far as
+        it is known before they are built."""
+        return np.zeros(0, dtype=np.int64), np.zeros((1, 0, 4 * self.channels))
+
+    def list_first_elevations(self) -> FloatArray:
+        """(W, n) `first_elevation` of every world."""
+        return self.first_elevation[None]
+
     @cached_property
+    def _tables(self) -> dict[Any, FloatArray]:
+        return {}
+
+    def tabulate(
+        self, key: Any, shape: tuple[int, ...], compute: Callable[[GroundTruth], FloatArray]
+    ) -> FloatArray:
+        """(K, *shape) what `compute` makes of one world, at all epochs; made once for every `key`,
+        and with `at_hand` valid where worlds have been built."""
+        if key not in self._tables:
+            self._tables[key] = np.ascontiguousarray(compute(self))
+        return self._tables[key]
+
+    @property
     def axes_turning(self) -> FloatArray:
         """(K, 3, 3) rate of change of `C_en` [1/s], since the axes move with the true position."""
-        turning = np.empty_like(self.C_en)
-        for piece in split_rows(self.epochs):
-            turning[piece] = turning_of_local_axes(self.position_e[piece], self.velocity_e[piece])
-        return turning
+        return self.tabulate("axes_turning", (3, 3), _turn_axes)
 
     @cached_property
     def epoch_truth(self) -> EpochTruth:
         return EpochTruth(*(getattr(self, name) for name in EpochTruth._fields))
+
+
+def see_geometry(world: GroundTruth) -> FloatArray:
+    """(K, 4n) line of sight to every slot in local axes, 0 where it is not visible, then whether it
+    is."""
+    table = np.empty((world.epochs, 4 * world.channels))
+    for rows in split_rows(world.epochs):
+        given = world.satellites[rows, :, :3], world.position_e[rows], world.C_en[rows]
+        table[rows] = look_along(*given, world.visible[rows])
+    return table
+
+
+def look_along(
+    places: FloatArray, position_e: FloatArray, C_en: FloatArray, seen: NDArray[np.bool_]
+) -> FloatArray:
+    sight = places - position_e[:, None, :]
+    sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+    sight = np.einsum("kji,knj->kni", C_en, sight) * seen[:, :, None]
+    return np.hstack([sight.reshape(len(seen), -1), seen])
+
+
+def _turn_axes(world: GroundTruth) -> FloatArray:
+    turning = np.empty_like(world.C_en)
+    for piece in split_rows(world.epochs):
+        turning[piece] = turning_of_local_axes(world.position_e[piece], world.velocity_e[piece])
+    return turning
 
 
 def build_world(
@@ -149,40 +216,14 @@ def build_world(
     """Compute the truth of a run. `constellation`: satellites; where more rise above the mask than
     there are channels, those that stay longest are taken."""
     time = trajectory.time
-    step = time[1] - time[0]
-    per_epoch = round(epoch_interval_s / step)
-    require(
-        per_epoch >= 1 and abs(per_epoch * step - epoch_interval_s) <= 1e-6 * step,
-        f"`epoch_interval_s` must be a multiple of the sample interval {step:g} s, "
-        f"got {epoch_interval_s}",
-    )
+    epoch_end = find_epochs(time, epoch_interval_s)
     check_number("channels", channels, least=FEWEST_CHANNELS, most=MOST_CHANNELS, whole=True)
     check_number("mask_deg", mask_deg, least=0.0, most=HIGHEST_MASK_DEG)
-    epoch_end = np.arange(0, len(time), per_epoch, dtype=np.int64)
-    require(
-        len(epoch_end) >= 2, f"a run of {time[-1]:g} s holds no epoch of {epoch_interval_s:g} s"
-    )
     position_e = trajectory.position_e[epoch_end]
     velocity_e = trajectory.velocity_e[epoch_end]
-    states = constellation.states(time[epoch_end])
     C_en = np.ascontiguousarray(dcm_e_from_n(*ecef_to_geodetic(position_e)[:2]))
-    elevation, _ = look_angles(states.position_e, position_e, C_en)
-    usable = np.isfinite(states.position_e).all(-1) & np.isfinite(states.velocity_e).all(-1)
-    visible = usable & (elevation > np.radians(mask_deg))
-    chosen = _choose(visible, channels)
-    ids = tuple(constellation.satellite_ids[i] for i in chosen)
-    ids += ("",) * (channels - len(chosen))
-
-    seen = _in_slots(visible, chosen, channels).astype(np.bool_)
-    if seen[0].sum() < 4:
-        raise ValueError(
-            f"only {seen[0].sum()} satellites are above {mask_deg:g} deg at time zero; "
-            "a first fix needs 4"
-        )
-    satellites = np.zeros((len(epoch_end), channels, 8))
-    satellites[:, :, :3] = _in_slots(states.position_e, chosen, channels)
-    satellites[:, :, 3:6] = _in_slots(states.velocity_e, chosen, channels)
-    fill_ranges(satellites, seen, position_e, velocity_e)
+    own = time[epoch_end], position_e, velocity_e, C_en
+    ids, satellites, seen = see_satellites(constellation, *own, channels, mask_deg)
     return GroundTruth(
         name=trajectory.name,
         satellite_ids=ids,
@@ -207,6 +248,61 @@ def build_world(
         C_en=C_en,
         decimation=trajectory.decimation,
     )
+
+
+def find_epochs(time: FloatArray, epoch_interval_s: float) -> NDArray[np.int64]:
+    """(K,) number of samples up to each epoch, of samples that end at `time` (N+1,) [s]."""
+    step = time[1] - time[0]
+    per_epoch = round(epoch_interval_s / step)
+    require(
+        per_epoch >= 1 and abs(per_epoch * step - epoch_interval_s) <= 1e-6 * step,
+        f"`epoch_interval_s` must be a multiple of the sample interval {step:g} s, "
+        f"got {epoch_interval_s}",
+    )
+    epoch_end = np.arange(0, len(time), per_epoch, dtype=np.int64)
+    require(
+        len(epoch_end) >= 2, f"a run of {time[-1]:g} s holds no epoch of {epoch_interval_s:g} s"
+    )
+    return epoch_end
+
+
+def see_satellites(
+    constellation: Constellation,
+    time: FloatArray,
+    position_e: FloatArray,
+    velocity_e: FloatArray,
+    C_en: FloatArray,
+    channels: int,
+    mask_deg: float,
+) -> tuple[tuple[str, ...], FloatArray, NDArray[np.bool_]]:
+    """`satellite_ids`, `satellites` and `visible` of `GroundTruth` at its epochs."""
+    states = constellation.states(time)
+    elevation, _ = look_angles(states.position_e, position_e, C_en)
+    usable = np.isfinite(states.position_e).all(-1) & np.isfinite(states.velocity_e).all(-1)
+    visible = usable & (elevation > np.radians(mask_deg))
+    chosen, ids, seen = fill_slots(constellation, visible, channels, mask_deg)
+    satellites = np.zeros((len(time), channels, 8))
+    satellites[:, :, :3] = _in_slots(states.position_e, chosen, channels)
+    satellites[:, :, 3:6] = _in_slots(states.velocity_e, chosen, channels)
+    fill_ranges(satellites, seen, position_e, velocity_e)
+    return ids, satellites, seen
+
+
+def fill_slots(
+    constellation: Constellation, visible: NDArray[np.bool_], channels: int, mask_deg: float
+) -> tuple[list[int], tuple[str, ...], NDArray[np.bool_]]:
+    """Satellites that get a slot, the ids of all slots, and (K, n) whether each is visible;
+    `visible` (K, S) of all satellites."""
+    chosen = _choose(visible, channels)
+    ids = tuple(constellation.satellite_ids[i] for i in chosen)
+    ids += ("",) * (channels - len(chosen))
+    seen = _in_slots(visible, chosen, channels).astype(np.bool_)
+    if seen[0].sum() < 4:
+        raise ValueError(
+            f"only {seen[0].sum()} satellites are above {mask_deg:g} deg at time zero; "
+            "a first fix needs 4"
+        )
+    return chosen, ids, seen
 
 
 def _in_slots(array: NDArray[Any], chosen: list[int], channels: int) -> FloatArray:
@@ -342,64 +438,6 @@ def loose_world(trajectory: Trajectory, interval_s: float) -> LooseWorld:
 def flown_world(flight: str, interval_s: float, imu_rate_hz: float | None = None) -> LooseWorld:
     check_choice("flight", flight, FLIGHTS)
     return loose_world(trajectory_at(FLIGHTS[flight](), imu_rate_hz, interval_s), interval_s)
-
-
-_AT_EPOCHS = (
-    *("epoch_time", "epoch_end", "satellites", "visible"),
-    *("position_e", "velocity_e", "C_eb", "C_en"),
-)
-
-
-def chain_worlds(worlds: Iterable[GroundTruth], runs: Sequence[int]) -> GroundTruth:
-    """World in which the epochs of some worlds follow one another. World w of K epochs each has the
-    epochs ``w K`` to ``(w + 1) K - 1``. Times start again with each; nothing may cross from one to
-    the next. Every world is copied to its place as it comes, and not held. `runs`: which run of
-    inertial samples each world has, from 0 on; one that several have is stored once."""
-    iterator = iter(worlds)
-    first = next(iterator)
-    if len(runs) == 1:
-        return first
-    each, samples, ids = first.epochs, first.run.shape[1], first.satellite_ids
-    run = np.empty((len(first.run), (max(runs) + 1) * samples))
-    joined = _place_arrays({name: getattr(first, name) for name in _AT_EPOCHS}, len(runs))
-    for w, world in enumerate(chain((first,), iterator)):
-        require(
-            world.channels == first.channels
-            and (
-                np.array_equal(world.epoch_time, first.epoch_time)
-                and np.array_equal(world.imu_time, first.imu_time)
-            ),
-            "worlds in a chain must have the same times and the same slots",
-        )
-        if world.satellite_ids != ids:
-            ids = tuple(f"slot{s:02d}" for s in range(first.channels))
-        for name, array in joined.items():
-            array[w * each : (w + 1) * each] = getattr(world, name)
-        joined["epoch_end"][w * each : (w + 1) * each] += runs[w] * samples
-        run[:, runs[w] * samples : (runs[w] + 1) * samples] = world.run
-    return replace(first, satellite_ids=ids, run=run, **joined)
-
-
-def _place_arrays(first: dict[str, NDArray[Any]], count: int) -> dict[str, Any]:
-    """Empty arrays, `count` times as long, in one block: it doesn't pin the holes that the memory
-    of what is computed leaves between smaller ones."""
-    sizes = np.cumsum([0, *(-8 * (-count * array.nbytes // 8) for array in first.values())])
-    block = np.empty(sizes[-1], dtype=np.uint8)
-    return {
-        name: block[start : start + count * array.nbytes]
-        .view(array.dtype)
-        .reshape(-1, *array.shape[1:])
-        for (name, array), start in zip(first.items(), sizes.tolist(), strict=False)
-    }
-
-
-def take_world(chained: GroundTruth, w: int, worlds: int) -> GroundTruth:
-    """World w of as many in a chain, as views."""
-    each, samples = chained.epochs // worlds, len(chained.imu_time) - 1
-    views = {name: getattr(chained, name)[w * each : (w + 1) * each] for name in _AT_EPOCHS}
-    first = int(views["epoch_end"][0])
-    views["epoch_end"] = views["epoch_end"] - first
-    return replace(chained, run=chained.run[:, first : first + samples], **views)
 
 
 class Sky(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import lru_cache, partial
 from typing import Any, TypeGuard
@@ -11,7 +11,7 @@ from typing import Any, TypeGuard
 from ..core.declared import setting, settings_record
 from ..core.registry import build_record, check_choice, require
 from .events import BenignEvents
-from .flight import Flight, Trajectory, trajectory_at
+from .flight import Flight, Headings
 from .gnss_errors import ERRORS, RENAMED, GnssErrors
 from .manoeuvres import FLIGHTS
 from .run import (
@@ -22,7 +22,6 @@ from .run import (
     MOST_CHANNELS,
     GroundTruth,
     build_world,
-    chain_worlds,
 )
 from .satellites import (
     TWO_CONSTELLATIONS,
@@ -31,6 +30,7 @@ from .satellites import (
     Constellation,
 )
 from .sensors import IMU_GRADES
+from .skies import Rules, Skies
 
 _OF_WORLD = (  # settings that a world depends on
     *("flight", "constellation", "epoch_interval_s", "channels", "mask_deg"),
@@ -167,29 +167,20 @@ class Scenario:
         return Scenario(name="", **{name: getattr(self, name) for name in _OF_WORLD})
 
     def chained_world(self, skies: Sequence[tuple[float, Constellation]]) -> GroundTruth:
-        """Worlds of the flight under some skies, one after the other (`chain_worlds`). `skies`:
-        turn of the flight, on top of `turned_deg` [deg], and satellites of each; skies of one turn
-        have one run of inertial samples."""
-        turns = list(dict.fromkeys(turn for turn, _ in skies))
-        return chain_worlds(self._worlds(skies), [turns.index(turn) for turn, _ in skies])
+        """Worlds of the flight under some skies, one after the other: `Skies`, or the only one.
+        `skies`: turn of the flight, on top of `turned_deg` [deg], and satellites of each."""
+        headings = partial(_steer, self.flight, self.imu_rate_hz, self.epoch_interval_s)
+        rules = Rules(self.epoch_interval_s, self.channels, self.mask_deg)
+        places = [(math.radians(self.turned_deg + turn), each) for turn, each in skies]
+        if len(places) > 1:
+            return Skies(headings, places, rules)
+        ((angle, constellation),) = places
+        return build_world(headings().trajectory(angle), constellation, **rules._asdict())
 
-    def _worlds(self, skies: Sequence[tuple[float, Constellation]]) -> Iterator[GroundTruth]:
-        """Worlds of some skies, each made at its first use, from a flight that is made once."""
-        flight = FLIGHTS[self.flight]() if isinstance(self.flight, str) else self.flight
 
-        @lru_cache(maxsize=1)
-        def turned(turn: float) -> Trajectory:
-            angle = math.radians(self.turned_deg + turn)
-            return trajectory_at(flight, self.imu_rate_hz, self.epoch_interval_s, angle)
-
-        for turn, constellation in skies:
-            yield build_world(
-                turned(turn),
-                constellation,
-                epoch_interval_s=self.epoch_interval_s,
-                channels=self.channels,
-                mask_deg=self.mask_deg,
-            )
+def _steer(flight: str | Flight, imu_rate_hz: float | None, epoch_interval_s: float) -> Headings:
+    flown = FLIGHTS[flight]() if isinstance(flight, str) else flight
+    return Headings(flown, imu_rate_hz, epoch_interval_s)
 
 
 def at_rate(name: str, imu_rate_hz: float | None) -> str:

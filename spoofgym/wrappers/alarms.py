@@ -64,6 +64,12 @@ class AlarmLog:
 
     def __init__(self, env: Any) -> None:
         core = composable(env, unset=False).core
+        engine = getattr(core, "engine", None)
+        if engine is not None and engine.warm_pool is not None:
+            raise ValueError(
+                f"episodes that share {engine.warm_pool} pasts are not independent, as intervals "
+                "take them: make the environment with warm_pool=0"
+            )
         setup, self._past = core.setup, list[tuple[float, ...]]()
         self._repeat, self._hold, self._steps = setup.repeat, setup.hold, setup.steps
         self._interval_s, self._start_s = setup.interval_s, setup.live * setup.interval_s

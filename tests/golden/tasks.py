@@ -52,7 +52,7 @@ def resolved(task: Task) -> dict[str, Any]:
 
 def returns(task: Task) -> dict[str, list[float]]:
     """Return and undetected displacement of episodes with commands that rise evenly."""
-    env = gym.make(task.env_id)
+    env = gym.make(task.env_id, warm_pool=0)
     setup: Any = env.unwrapped.core.setup
     decisions = setup.steps // setup.repeat
     found: dict[str, list[float]] = {"return": [], "undetected_displacement_m": [], "steps": []}

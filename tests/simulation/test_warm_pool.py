@@ -12,6 +12,8 @@ from spoofgym.envs.wrappers import RecordEpochs
 from spoofgym.simulation.engine import POOL_SEED, Engine
 from spoofgym.simulation.tight import TightlyCoupledSimulator
 from spoofgym.truth.sensors import SOURCES
+from spoofgym.wrappers import AlarmRecorder, EpochInfo
+from spoofgym.wrappers.streams import Recorder
 
 from .support import DOMAINS, SETUPS, rngs, setup_of
 
@@ -149,12 +151,74 @@ def test_all_forms_of_an_environment_take_it():
         env.close()
 
 
-def test_nothing_of_an_episode_can_be_given():
+def test_what_is_given_of_an_episode_gives_it_a_past_of_its_own():
     with pytest.raises(ValueError, match="`warm_pool` must be a whole number of at least 1, got"):
         Engine(2, setup_of("robot"), warm_pool=0)
-    engine, generators = pooled("tightly-coupled", 2, target_heading_deg="random"), rngs(2)
-    message = "with `warm_pool` 5 .* those of the pool: target_heading_deg can't be given"
-    with pytest.raises(ValueError, match=message):
-        engine.reset(generators, given={"target_heading_deg": 10.0})
-    fresh = pooled("tightly-coupled", 2, target_heading_deg="random")
-    assert np.array_equal(played(engine, generators), played(fresh, rngs(2)))
+    settings = {"target_heading_deg": "random"}
+    engine, own = pooled("tightly-coupled", 2, **settings), setup_of("tightly-coupled", **settings)
+    alone = Engine(2, own)
+    for each in (engine, alone):
+        each.reset(rngs(2), given={"target_heading_deg": 10.0})
+    assert np.array_equal(engine.simulator.error_n(), alone.simulator.error_n())
+    assert not engine._flown.any()
+
+
+def test_pasts_are_flown_when_they_are_picked_and_not_again(monkeypatch):
+    flown, warm_up = [], TightlyCoupledSimulator.warm_up
+
+    def counted(simulator, generators, given=None):
+        flown.append(len(generators))
+        return warm_up(simulator, generators, given)
+
+    monkeypatch.setattr(TightlyCoupledSimulator, "warm_up", counted)
+    engine, generators = Engine(1, setup_of("tightly-coupled"), warm_pool=6), rngs(1)
+    for _ in range(30):
+        engine.reset(generators)
+    assert flown[:2] == [1, 1]
+    assert all(count <= max(sum(flown[:k]), 1) for k, count in enumerate(flown))
+    assert sum(flown) == 6
+    engine.close()
+    engine.reset(generators)
+    assert flown[-1] == 1
+
+
+AGED = {"worlds": 2, "constellation_time_s": (0.0, 80_000.0), "age_s": (10.0, 301.0)}
+
+
+@pytest.mark.parametrize(
+    ("domain", "given", "pool"),
+    [
+        (AGED, {}, 256),
+        (AGED, {"warm_pool": 7}, 7),
+        (AGED, {"warm_pool": 0}, None),
+        ({**AGED, "age_s": (10.0, 300.0)}, {}, None),
+        (None, {}, None),
+    ],
+)
+def test_old_receivers_share_pasts_unless_they_are_scored(domain, given, pool):
+    world = {"timeline": TIMELINE, "domain": domain, "detector": "never", **given}
+    env = gym.make("spoofgym/TightlyCoupled-v0", **world, disable_env_checker=True)
+    assert env.unwrapped.core.engine.warm_pool == pool
+    if pool is None:
+        AlarmRecorder(env)
+    else:
+        with pytest.raises(ValueError, match=f"share {pool} pasts .* with warm_pool=0"):
+            AlarmRecorder(env)
+    scored = Recorder(EpochInfo(env), threads=1)
+    assert scored.core.engine.warm_pool is None
+    env.close()
+
+
+def test_a_seed_gives_the_same_episode_whatever_was_flown_before():
+    short = {**AGED, "age_s": (10.0, 40.0)}
+    world = {"domain": short, "timeline": TIMELINE, "warm_pool": 5}
+    envs = gym.make_vec("spoofgym/TightlyCoupled-v0", 3, **world, action="full-command")
+    first, _ = envs.reset(seed=4)
+    pushes = np.full(envs.action_space.shape, 0.5, dtype=np.float32)
+    for _ in range(40):
+        envs.step(pushes)
+    copied = pickle.loads(pickle.dumps(envs.unwrapped))
+    assert np.array_equal(copied.step(pushes)[0], envs.step(pushes)[0])
+    assert np.array_equal(copied.reset(seed=4)[0], first)
+    assert np.array_equal(envs.reset(seed=4)[0], first)
+    envs.close()

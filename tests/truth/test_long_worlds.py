@@ -1,20 +1,24 @@
 """Worlds of hours: manoeuvres, satellites, memory, and the bits of the whole in pieces."""
 
+import pickle
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
 
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.domain import Domain, build_worlds
+from spoofgym.simulation.engine import Engine
 from spoofgym.truth import flight as flights
 from spoofgym.truth.flight import inverse_kinematics, trajectory_at
 from spoofgym.truth.manoeuvres import LONG_S, car, en_route, terminal
-from spoofgym.truth.run import build_world, take_world
+from spoofgym.truth.run import build_world
 from spoofgym.truth.satellites import CircularConstellation
 from spoofgym.truth.scenario import Scenario
 from spoofgym.truth.signal_errors import MAPPINGS, causal_mappings, compute_mappings
+from spoofgym.truth.skies import look_up
 
 STEP_S = 0.5
 INTERVAL = np.array([STEP_S])
@@ -68,17 +72,68 @@ def test_every_world_of_a_chain_is_the_one_built_alone(turned_deg):
     assert turns == (2 if turned_deg else 1)
     assert chained.run.shape == (8, turns * 1200)
     assert build_worlds(scenario, domain)[0] is chained
+    chained = pickle.loads(pickle.dumps(chained))
+    assert not chained.at_hand.visible.any()  # nothing is built before it is drawn
+    for w in (2, 3, 1):
+        chained.build([w])
+        assert chained.at_hand.visible.reshape(count, -1).any(axis=1)[w]
+    assert not chained.at_hand.visible.reshape(count, -1)[0].any()
+    heights, in_view = chained.list_first_elevations(), chained.in_view.reshape(count, -1)
     for w, (turn, time) in enumerate(domain.pairs()):
         flight = flights.rotate_flight(car(), np.radians(turn)) if turn else car()
         sky = CircularConstellation(time_offset_s=time)
         alone = build_world(trajectory_at(flight, 20.0, 0.5), sky)
-        part = take_world(chained, w, count)
+        part = chained.take(w)
+        np.testing.assert_array_equal(heights[w], alone.first_elevation)
+        np.testing.assert_array_equal(in_view[w], alone.visible.sum(axis=1))
+        turning = chained.at_hand.axes_turning.reshape(count, -1, 3, 3)
+        np.testing.assert_array_equal(turning[w], alone.axes_turning)
         for name, array in vars(alone).items():
             if isinstance(array, np.ndarray):
                 np.testing.assert_array_equal(getattr(part, name), array, err_msg=name)
         some = np.array([7, 3])
         for each, whole in zip(part.look(some), (alone.elevation, alone.azimuth), strict=True):
             np.testing.assert_array_equal(each, whole[some])
+
+
+def test_a_look_at_some_epochs_finds_every_rise_and_set(long_flight):
+    trajectory = inverse_kinematics(long_flight[0])
+    for offset_s in (0.0, 30_000.0):
+        sky = CircularConstellation(time_offset_s=offset_s)
+        alone = build_world(trajectory, sky)
+        known = look_up(sky, trajectory.time, trajectory.position_e, 12, 10.0)
+        np.testing.assert_array_equal(known.in_view, alone.visible.sum(axis=1))
+        np.testing.assert_array_equal(known.first_elevation, alone.first_elevation)
+        assert known.satellite_ids == alone.satellite_ids
+
+
+def test_receivers_in_threads_build_the_skies_that_they_draw():
+    settings = {"scenario": {"flight": "car", "imu_rate_hz": 20.0}, "detector": "never"}
+    domain = {"worlds": 6, "constellation_time_s": (0.0, 86_400.0), "world_seed": 7}
+    timeline = {"warmup_s": 4.0, "live_s": 2.0, "attack_s": 4.0, "time_to_alert_s": 1.0}
+    setup = TightlyCoupledSetup(**settings, domain=domain, timeline=timeline)
+    ended = []
+
+    def fly(world):
+        engine = Engine(2, setup, threads=1)
+        engine.reset([np.random.default_rng(k) for k in range(2)], given={"world": world})
+        ended.append((world, engine.simulator.position.copy()))
+
+    threads = [threading.Thread(target=fly, args=(w,)) for w in (4, 1, 4, 3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    built = setup.world.at_hand.visible.reshape(6, -1).any(axis=1)
+    np.testing.assert_array_equal(built, [False, True, False, True, True, False])
+    later, moved = {}, pickle.loads(pickle.dumps(setup))
+    for world, _ in ended:
+        engine = Engine(2, moved, threads=1)
+        engine.reset([np.random.default_rng(k) for k in range(2)], given={"world": world})
+        later[world] = engine.simulator.position.copy()
+    assert len(ended) == 4
+    for world, position in ended:
+        np.testing.assert_array_equal(position, later[world])
 
 
 def test_mappings_of_the_past_are_those_of_the_truth_and_begin_again_with_a_satellite():

@@ -196,6 +196,9 @@ class Time(_Term):
         time_fractions(simulator.epochs, simulator.onset, snapshot.setup.steps, out)
 
 
+ROUNDING = 1e-6  # more than the last bits of a line of sight
+
+
 def _varying(setup: Setup, table: NDArray[Any], least: float) -> NDArray[np.intp]:
     """Which columns of a table (K, k) change in the attack windows of all episodes by so much."""
     bounds, each = setup.bounds, setup.epochs_each
@@ -290,6 +293,9 @@ class SatelliteGeometry(_Tabled):
     def _whole(self, setup: Setup) -> tuple[tuple[str, ...], NDArray[Any] | None]:
         if not setup.geometry_names:
             raise ValueError(f"{setup.whose} has no satellites to observe")
+        some = setup.probe_geometry()
+        if some is not None and (np.ptp(some, axis=0) > self.least_change + ROUNDING).all():
+            return setup.geometry_names, None  # all of it changes, and no world is built to know it
         return setup.geometry_names, setup.geometry_table()
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
