@@ -18,7 +18,7 @@ from ...envs.terms.action import CommandMap, Decisions
 from ...simulation.engine import Engine
 from ...simulation.monitors import Monitored, PassiveDetectors
 from ...simulation.setup import Setup
-from ...simulation.simulator import Simulator
+from ...simulation.simulator import FixedChoices, Simulator
 from ...spoofers import Spoofer, make_spoofer
 
 FloatArray = NDArray[np.float64]
@@ -200,14 +200,20 @@ class WarmStart:
     """Receivers at the onset of the attack, after one warm-up that all spoofers start from. The
     warm-up is clean, so that it is the same for every spoofer: a run from here has the same bits as
     one with a warm-up of its own. `setup`: world, victim, attack, detector and timeline;
-    `warmup_alarm` (R,) bool, false alarms before the attack."""
+    `given`: circumstances that are not
+    to be drawn, as of `Engine.reset`; `warmup_alarm` (R,) bool, false alarms before the attack."""
 
     def __init__(
-        self, setup: Setup, rngs: Sequence[np.random.Generator], *, threads: int | None = None
+        self,
+        setup: Setup,
+        rngs: Sequence[np.random.Generator],
+        *,
+        threads: int | None = None,
+        given: FixedChoices | None = None,
     ) -> None:
         self.setup, self.receivers, self._threads = setup, len(rngs), threads
         self._engine = Engine(len(rngs), setup, threads=threads)
-        self._engine.reset(rngs)
+        self._engine.reset(rngs, given=given)
         self.warmup_alarm = self._engine.warmup_alarm.copy()
 
     @property
