@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from ...detectors.calibrated import NOISY_WARMUP
 from ...spoofers.base import sees_statistics
 from ..experiments.campaign import CampaignResults
-from ..runs.record import MEASURES
+from ..runs.record import MEASURES, STANFORD
 from ..scores.campaign import ANY_RATE, CONTROLS, HALF, NOMINAL, STEALTHY, extract_name, headline
 from ..scores.statistics import Estimate
 from ..search.attack_suite import FAMILIES as FAMILIES
@@ -301,6 +301,26 @@ CLEAN = Table(
     ("navigation error, RMS [m]", "navigation_rms_m", "{:.2f}".format),
     ("largest while coasting [m]", "coasting_error_m", format_number),
 )
+INTEGRITY = Table(
+    ("detector", "detector"),
+    (
+        "protection level, median [m]",
+        lambda row: row["protection_level"]["median_m"],
+        format_number,
+    ),
+    *(
+        (f"{name} [%]", lambda row, name=name: row["protection_level"][name], percent)
+        for name in STANFORD
+    ),
+)
+"""Stanford diagram of the clean runs."""
+
+
+def integrity_rows(summary: Row, group: FalseAlarmGroup) -> list[Row]:
+    """Rows of `INTEGRITY`: detectors that have a protection level."""
+    return [row for row in group.rows(summary["detectors"]) if "protection_level" in row]
+
+
 KNOWLEDGE = Table(
     ("spoofer", itemgetter(0)),
     ("knows at run time", lambda row: row[1]["run_time"]),
@@ -397,5 +417,7 @@ def print_campaign(summary: Row) -> None:
         if rows := exact_rows(summary, group):
             EXACTLY.print(f"{name}: at exactly {100 * summary['budget']:g} % alarms", rows, names=2)
         CLEAN.print(f"{name}: price", group.rows(summary["detectors"]))
+        if rows := integrity_rows(summary, group):
+            INTEGRITY.print(f"{name}: protection level", rows)
     if summary["missing"]:
         print(f"not finished: {', '.join(summary['missing'])}")

@@ -26,9 +26,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...detectors.base import MISSED
 from ...detectors.calibration_file import hourly_rate
 from ...spoofers.base import sees_statistics
-from ..runs.record import MEASURES, Aim, Protection, RunRecord, Winner, compute_upper_quantile
+from ..runs.record import (
+    MEASURES,
+    STANFORD,
+    Aim,
+    Protection,
+    RunRecord,
+    Winner,
+    compute_upper_quantile,
+)
 from .scores import (
     ALIKE,
     SHARES,
@@ -97,7 +106,22 @@ def score_detector(clean: RunRecord) -> dict[str, Any]:
         "blamed_s_per_hour": round(blamed, 4) if clean.head["judges_channels"] else None,
         "navigation_rms_m": float(np.sqrt(np.mean(records["navigation_rms_m"] ** 2)).round(4)),
         "coasting_error_m": compute_mean(records["coasting_error_m"][coasting]),
+        **score_protection_level(clean),
     }
+
+
+def score_protection_level(clean: RunRecord) -> dict[str, Any]:
+    """Protection level of a detector that has one, its median over the clean runs, infinite as
+    None, and the parts of the Stanford diagram in which their epochs are."""
+    if "protection_level_m" not in clean.records:
+        return {}
+    median = float(np.median(clean.records["protection_level_m"]))
+    shares = {
+        name: clustered_proportion(clean.records[f"{name}_epochs"], clean.window).as_json()
+        for name in STANFORD
+    }
+    level = round_number(median) if np.isfinite(median) else None
+    return {"protection_level": {"median_m": level, "missed": MISSED, **shares}}
 
 
 def _per_hour(per_run: Estimate, window_s: float) -> dict[str, float | None]:
