@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,13 @@ import pytest
 from spoofgym.bench import CampaignResults, run_campaign, summarize
 from spoofgym.bench.experiments import Store, run_experiment
 from spoofgym.bench.experiments.campaign import Campaign
-from spoofgym.bench.report.campaign import INTEGRITY, groups, integrity_rows, markdown
+from spoofgym.bench.report.campaign import (
+    INTEGRITY,
+    groups,
+    integrity_rows,
+    list_uncovered,
+    markdown,
+)
 from spoofgym.bench.report.figures import draw_campaign
 from spoofgym.bench.runs.panel import Panel
 from spoofgym.bench.runs.record import STANFORD, record_runs
@@ -150,7 +157,11 @@ def test_clean_runs_of_a_detector_with_a_protection_level_make_a_stanford_diagra
         rngs = lambda: suite.generators("evaluation", 5)  # noqa: E731
         panel = Panel(suite.world.setup, some, rngs, threads=1)
         for k, each in enumerate(some):
-            head = {"detector": str(k), "judges_channels": each.scope == "channel"}
+            head = {
+                "detector": str(k),
+                "protects_s": 30.0,
+                "judges_channels": each.scope == "channel",
+            }
             runs = panel.setup, head, panel.warmup_alarm[:, k], panel.clean[k], panel.clean[k]
             found.append(record_runs(*runs, alert_limit_m=60.0))
     both, other, alone = found
@@ -167,3 +178,8 @@ def test_clean_runs_of_a_detector_with_a_protection_level_make_a_stanford_diagra
     assert integrity_rows({"detectors": [row]}, group) == [row]
     assert "| 0 |" in INTEGRITY.markdown([row])
     json.dumps(row, allow_nan=False)
+    uncovered = score_detector(replace(both, head={**both.head, "protects_s": 20.0}))
+    why = "the attack of 25 s is longer than the 20 s of its bank"
+    assert uncovered["protection_level"] == {"why": why}
+    assert integrity_rows({"detectors": [{**uncovered, "footing": "0.2"}]}, group) == []
+    assert list_uncovered({"detectors": [uncovered]}) == [f"0: {why}"]

@@ -392,6 +392,8 @@ class _Players(NamedTuple):
     def _head(self, panel: Panel, number: int, spoofer: PlayerSpec) -> dict[str, Any]:
         """The pair that plays, and its settings."""
         detector, spec, within = self.detectors[number], spoofer.spec, None
+        judge = panel.judges[number]
+        protects_s = getattr(getattr(judge, "detector", judge), "longest_s", None)
         found = self.results.search(detector.label, spoofer.label) if spoofer.tuned else None
         if found is not None:
             chosen = spoofer
@@ -406,7 +408,8 @@ class _Players(NamedTuple):
             "knowledge": describe_knowledge(spoofer, panel.setup, detector),
             "attack": panel.setup.attack.label,
             "tuned_within_budget": within,
-            "judges_channels": panel.judges[number].scope == "channel",
+            "judges_channels": judge.scope == "channel",
+            **({} if protects_s is None else {"protects_s": protects_s}),
         }
 
     def protections(self, detectors: Mapping[int, PlayerSpec]) -> Iterator[Protection]:

@@ -157,6 +157,15 @@ def list_bound_marks(bracket: Row) -> list[str]:
     return marks
 
 
+def list_uncovered(summary: Row) -> list[str]:
+    """Which detectors have no protection level for the attack's length, and why."""
+    return [
+        f"{row['detector']}: {row['protection_level']['why']}"
+        for row in summary["detectors"]
+        if "why" in row.get("protection_level", {})
+    ]
+
+
 def mark_detector(summary: Row, detector: str) -> str:
     """Remarks on a detector. Whether and where it is worse than one that never alarms, or alarms by
     chance; whether the worst attack moves it as far as one that never alarms; whether it alarms
@@ -317,8 +326,9 @@ INTEGRITY = Table(
 
 
 def integrity_rows(summary: Row, group: FalseAlarmGroup) -> list[Row]:
-    """Rows of `INTEGRITY`: detectors that have a protection level."""
-    return [row for row in group.rows(summary["detectors"]) if "protection_level" in row]
+    """Rows of `INTEGRITY`: detectors that have a protection level for the attack's length."""
+    rows = group.rows(summary["detectors"])
+    return [row for row in rows if "median_m" in row.get("protection_level", {})]
 
 
 KNOWLEDGE = Table(
@@ -406,6 +416,7 @@ def print_campaign(summary: Row) -> None:
     notes = [
         *list_limit_notes(summary),
         *(f"No zero-alarm bound of {x}." for x in bound_notes(summary)),
+        *(f"No protection level of {x}." for x in list_uncovered(summary)),
     ]
     for k, group in enumerate(groups(summary)):
         name = f"{summary['scenario']}, {group.title}"

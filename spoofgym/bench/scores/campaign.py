@@ -20,6 +20,7 @@ budget pays for some alarms; it is marked where it does by more than two standar
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -111,16 +112,21 @@ def score_detector(clean: RunRecord) -> dict[str, Any]:
 
 
 def score_protection_level(clean: RunRecord) -> dict[str, Any]:
-    """Protection level of a detector that has one, its median over the clean runs, infinite as
-    None, and the parts of the Stanford diagram in which their epochs are."""
+    """Protection level of a detector that has one, its median over the clean runs, and the parts of
+    the Stanford diagram in which their epochs are; only ``why`` where the attack is longer than
+    the level is for."""
     if "protection_level_m" not in clean.records:
         return {}
-    median = float(np.median(clean.records["protection_level_m"]))
+    window_s = clean.window * clean.interval_s
+    longest_s = clean.head.get("protects_s", math.inf)
+    if window_s > longest_s + 1e-9:
+        why = f"the attack of {window_s:g} s is longer than the {longest_s:g} s of its bank"
+        return {"protection_level": {"why": why}}
     shares = {
         name: clustered_proportion(clean.records[f"{name}_epochs"], clean.window).as_json()
         for name in STANFORD
     }
-    level = round_number(median) if np.isfinite(median) else None
+    level = round_number(np.median(clean.records["protection_level_m"]))
     return {"protection_level": {"median_m": level, "missed": MISSED, **shares}}
 
 
