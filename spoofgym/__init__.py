@@ -23,7 +23,7 @@ duel         the game of a spoofer and a detector, its two forms and the views o
 bench        detectors x spoofers x paired seeds: runs, scores, searches, experiments, reports
 duel_v0      what is public of the duel, for PettingZoo and Gymnasium
 wrappers     detectors as Gymnasium wrappers: recorder, check, score
-testing      check_detector, check_attack, check_spoofer, check_stationary
+testing      check_detector, check_attack, check_spoofer, check_stationary, check_ages
 export       from a model to an ONNX file with its card
 sb3          the vector environment of stable-baselines3, and a callback that scores
 cli          the command line: `spoofgym --help`

@@ -25,6 +25,8 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 HAVE_IT = "a tightly coupled receiver has one, in worlds with the same sensors and errors"
 """Which victims have a `DetectorContext.model`, for messages."""
+MISSED = 1e-3
+"""Probability, at an epoch, of an error beyond the protection level without an alarm."""
 DETECTORS: dict[str, type[Detector]] = {}
 """Detectors by name; the package has them all."""
 
@@ -257,6 +259,29 @@ class Detector(ABC):
             Read-only, valid during this call.
         """
         self.judge(epoch)
+
+    def protection_level(self, epoch: Epoch, scale: float = 1.0) -> FloatArray | None:
+        """Horizontal protection level at an epoch that has just been judged.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Read-only, valid during this call.
+        scale : float
+            Factor on the thresholds, as of `Calibrated`.
+
+        Returns
+        -------
+        ndarray or None
+            (B,) what the horizontal position error exceeds without an alarm with a probability of
+            at most `MISSED`, whatever the attack [m]; None of a detector that has none.
+        """
+        return None
+
+
+def has_protection_level(detector: Detector) -> bool:
+    inner = getattr(detector, "detector", detector)  # of a calibrated one
+    return type(inner).protection_level is not Detector.protection_level
 
 
 def check_needs(reader: object) -> frozenset[str]:

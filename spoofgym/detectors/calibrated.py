@@ -173,6 +173,9 @@ class Calibrated(Detector):
             return verdict
         return compare(verdict.statistic, self._scale * verdict.threshold, verdict.weights)
 
+    def protection_level(self, epoch: Epoch, scale: float = 1.0) -> FloatArray | None:
+        return self._judge.protection_level(epoch, scale * self._scale)
+
     def look_up(self, world: CalibrationWorld) -> None:
         conditions, identity = world.conditions, describe_identity(self.detector)
         rate = check_rate(self.false_alarms_per_hour)

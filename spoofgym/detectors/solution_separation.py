@@ -26,12 +26,27 @@ in steps of D: for an attack of any length up to :math:`(J - 1) D` one that is o
 A bank of geometric spacing (`space_geometrically`) has few solutions for a long attack.  The claim
 is made for attacks no longer than `covers_s` that began after the detector, and for no other.
 
+A solution that coasts since before the attack has an error of covariance :math:`P + V`, attacked or
+not.  So without an alarm the horizontal error exceeds the **protection level**
+
+.. math::
+    \mathrm{HPL} = \max_{t \le L} \min_{j: t_j \ge t} \left( K_{fa} \sqrt{\lambda_{\max}(V_h)}
+        + K_{md} \sqrt{\lambda_{\max}(P_h + V_h)} \right), \qquad
+    K_{fa} = \sqrt{T}, \quad K_{md} = \sqrt{-2 \ln P_{md}}
+
+with a probability of at most :math:`P_{md}` at an epoch, under any attack that is no longer than L
+and began after the detector: that of the time t ago is answered by any solution of an age
+:math:`t_j` no less, and the largest is that of the longest attack (`blanch2012`, there for each
+axis, with satellites left out in place of times).
+
 With a filter of its own (`own_filter`) the recursion is that of the innovations and gains of that
-filter.  Its solution separates from those that coast, and is bounded, not the victim's.
+filter.  Its solution separates from those that coast, and is bounded, not the victim's; the
+protection level of the victim has their distance added.
 
 Symbols: z innovation, S its covariance, K gain, :math:`\Phi` transition of the error states,
 :math:`s_h` north and east part at the predicted position, :math:`\alpha` false-alarm probability of
-one epoch, :math:`\lambda_{\max}` largest eigenvalue.
+one epoch, L `longest_s`, :math:`\lambda_{\max}` largest eigenvalue, P covariance of the filter
+after its update, :math:`P_{md}` (`MISSED`) probability that an error beyond HPL is missed.
 
 Assumptions: the filter is linear in its errors, and its gain that of its own belief,
 :math:`K = P H^T S^{-1}`; below the receiver's fewest satellites it coasts.  No other detector takes
@@ -62,11 +77,12 @@ from numpy.typing import NDArray
 from scipy import special
 
 from ..core.declared import setting, settings_record
+from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from ..receiver.epoch import Epoch
 from ..receiver.states import POSITION, STATES
 from ._anchored_bank_kernels import advance_anchored, anchored_shapes
 from ._solution_separation_kernels import advance_bank, judge_bank, whiten_bank
-from .base import DetectorContext, FloatArray, IntArray, Verdict, compare
+from .base import MISSED, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import alarm_probability, count_epochs
 from .own_filter import FilterTest, filter_to_test
 
@@ -242,9 +258,60 @@ class SolutionSeparation(FilterTest):
             the attack, the smallest [m]; infinite without one.  With a factor on the
             threshold (`Calibrated`) it is its root times as much.
         """
-        firsts, periods = self._starts
-        since = self.memory["epochs"][:, None] - 1 - firsts
-        age = np.where(since >= 0, since % periods + 1, 0)
+        age = self._ages()
         old = (age > 0) & (age >= attack_s / self._interval_s - 1e-9)
         sd = np.where(old, self.memory["largest_sd"], np.inf).min(axis=1)
         return np.asarray(math.sqrt(self._threshold) * sd)
+
+    def _ages(self) -> IntArray:
+        """(B, J) ages of the solutions [epochs], 0 of those that have not started."""
+        firsts, periods = self._starts
+        since = self.memory["epochs"][:, None] - 1 - firsts
+        return np.asarray(np.where(since >= 0, since % periods + 1, 0))
+
+    def protection_level(self, epoch: Epoch, scale: float = 1.0) -> FloatArray:
+        """Horizontal protection level against attacks of up to `longest_s` that began after it.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            That has just been judged; read-only.
+        scale : float
+            Factor on the threshold.
+
+        Returns
+        -------
+        ndarray
+            (B,) HPL [m].
+        """
+        north_east = dcm_e_from_n(*ecef_to_geodetic(epoch.predicted_position)[:2])[:, :, :2]
+        V = np.einsum("bak,bacj,bcl->bjkl", north_east, self._bank[1], north_east)
+        covariance, apart = self._updated(epoch)
+        P = np.einsum("bak,bac,bcl->bkl", north_east, covariance, north_east)
+        fa, md = math.sqrt(scale * self._threshold), math.sqrt(-2.0 * math.log(MISSED))
+        level = fa * largest_root(V) + md * largest_root(V + P[:, None])
+        longest = np.minimum(math.ceil(self.longest_s / self._interval_s), self.memory["epochs"])
+        level = np.where(self._ages() >= longest[:, None], level, np.inf).min(axis=1)
+        return np.asarray(level + np.hypot(*np.einsum("bak,ba->kb", north_east, apart)))
+
+    def _updated(self, epoch: Epoch) -> tuple[FloatArray, FloatArray]:
+        """(B, 3, 3) covariance of the tested filter's position after the update, and (B, 3) the
+        victim's position less that one, ECEF [m^2], [m]."""
+        place = slice(POSITION, POSITION + 3)
+        if self._own is not None:
+            filters, states = self.memory["filters"], self._own.states
+            upper = np.triu(filters[:, place, place])
+            P = upper + np.triu(upper, 1).transpose(0, 2, 1)
+            return P, filters[:, place, states] - self.memory["feedback"][:, place].sum(axis=2)
+        matrices = epoch.predicted_cov, epoch.design, epoch.innovation_cov
+        P, H, S = (cast(FloatArray, each) for each in matrices)
+        enough = epoch.visible.sum(axis=1) >= self._fewest
+        seen = H @ P[:, :, place]
+        taken = seen.transpose(0, 2, 1) @ np.linalg.solve(S, seen)
+        return P[:, place, place] - enough[:, None, None] * taken, np.zeros((len(P), 3))
+
+
+def largest_root(covariance: FloatArray) -> FloatArray:
+    """Root of the largest eigenvalue of matrices (..., 2, 2)."""
+    xx, yy, xy = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
+    return np.asarray(np.sqrt(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)))

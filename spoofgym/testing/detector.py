@@ -16,6 +16,7 @@ from ..detectors.base import UndeclaredFieldError, check_needs, check_verdict, d
 from ..detectors.build import bare_detector
 from ..policies.card import DetectorCard
 from ..receiver.epoch import Epoch, TracedEpoch
+from .ages import can_fly, check_ages
 from .contract import (
     ContractTrial,
     Record,
@@ -28,6 +29,7 @@ from .contract import (
     same_bits,
 )
 from .epochs import CHANNELS, COORDINATES, Script, engine_script, position_script, trying_script
+from .stationary import check_stationary
 from .steady import SteadyEpochs
 
 WINDOW_EPOCHS = 120
@@ -38,7 +40,9 @@ UNDECLARED_EPOCHS = 2
 """Memory or silence that needs no word, such as that of a difference of neighbours."""
 
 
-def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
+def check_detector(
+    detector: Detector | Mapping[str, Any] | str, *, stationary: bool = False
+) -> None:
     """Check that a detector keeps its contract.
 
     It is bound, fed with epochs of a run of the default scenario and with made-up ones (satellites
@@ -62,6 +66,10 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     detector : Detector, str or mapping
         What `make_detector` takes; an ``.onnx`` file needs no threshold on its card.  The object
         itself is left as it is.
+    stationary : bool
+        Whether what it finds must not depend on the time since it was switched on, either: at 3, 10
+        and 30 min, by `check_stationary`, and by `check_ages` where a tightly coupled receiver has
+        what it judges.  That takes some 20 s.
 
     Raises
     ------
@@ -84,6 +92,10 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
             run_trial(trial)
         if unbound.card is None:
             _check_windows(unbound)
+    if stationary:
+        check_stationary(unbound)
+        if can_fly(unbound):
+            check_ages(unbound)
 
 
 def list_scripts(measures: str, card: DetectorCard | None = None) -> list[Script]:

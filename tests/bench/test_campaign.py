@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,17 @@ import pytest
 from spoofgym.bench import CampaignResults, run_campaign, summarize
 from spoofgym.bench.experiments import Store, run_experiment
 from spoofgym.bench.experiments.campaign import Campaign
-from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench.report.campaign import (
+    INTEGRITY,
+    groups,
+    integrity_rows,
+    list_uncovered,
+    markdown,
+)
 from spoofgym.bench.report.figures import draw_campaign
+from spoofgym.bench.runs.panel import Panel
+from spoofgym.bench.runs.record import STANFORD, record_runs
+from spoofgym.bench.scores.campaign import score_detector
 
 from .experiments.support import content as contents
 from .support import small_suite
@@ -133,3 +143,43 @@ def test_scores_follow_from_the_records_and_the_report_tells_what_came_out(finis
     ):
         assert part in text
     assert "nan" not in text
+
+
+def test_clean_runs_of_a_detector_with_a_protection_level_make_a_stanford_diagram():
+    suite = small_suite(
+        detectors=(
+            {"name": "solution-separation", "thresholds": "nominal", "longest_s": 30.0},
+            "snapshot-chi2",
+        )
+    )
+    judges, found = [each.build() for each in suite.detector_players], []
+    for some in (judges, judges[:1]):
+        rngs = lambda: suite.generators("evaluation", 5)  # noqa: E731
+        panel = Panel(suite.world.setup, some, rngs, threads=1)
+        for k, each in enumerate(some):
+            head = {
+                "detector": str(k),
+                "protects_s": 30.0,
+                "judges_channels": each.scope == "channel",
+            }
+            runs = panel.setup, head, panel.warmup_alarm[:, k], panel.clean[k], panel.clean[k]
+            found.append(record_runs(*runs, alert_limit_m=60.0))
+    both, other, alone = found
+    assert "protection_level" not in score_detector(other)
+    for name, array in alone.records.items():
+        np.testing.assert_array_equal(array, both.records[name])
+    parts = sum(both.records[f"{name}_epochs"] for name in STANFORD)
+    assert (parts == both.window).all()
+    row = {**score_detector(both), "footing": "0.2"}
+    level = row["protection_level"]
+    assert 1.0 < level["median_m"] < 1000.0
+    assert sum(level[name]["value"] for name in STANFORD) == pytest.approx(1.0, abs=1e-3)
+    (group,) = groups({"detectors": [row]})
+    assert integrity_rows({"detectors": [row]}, group) == [row]
+    assert "| 0 |" in INTEGRITY.markdown([row])
+    json.dumps(row, allow_nan=False)
+    uncovered = score_detector(replace(both, head={**both.head, "protects_s": 20.0}))
+    why = "the attack of 25 s is longer than the 20 s of its bank"
+    assert uncovered["protection_level"] == {"why": why}
+    assert integrity_rows({"detectors": [{**uncovered, "footing": "0.2"}]}, group) == []
+    assert list_uncovered({"detectors": [uncovered]}) == [f"0: {why}"]

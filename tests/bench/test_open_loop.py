@@ -15,7 +15,7 @@ from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.search import backends, open_loop
 from spoofgym.bench.search.attack_suite import AMPLITUDE_RANGE, Selection, build_grid
-from spoofgym.bench.search.open_loop import AIMS, OpenLoopOptimizer, OpenLoopSearch
+from spoofgym.bench.search.open_loop import AIMS, HazardOptimizer, OpenLoopOptimizer, OpenLoopSearch
 from spoofgym.detectors import detector_in_world
 from spoofgym.envs.factory import make_setup
 from spoofgym.limits import Replay
@@ -76,6 +76,29 @@ def test_the_search_finds_the_best_curve_of_a_known_detector(share):
     (curve,) = optimizer.curves(found.rates_mps[None])
     assert player.length(curve) == pytest.approx(player.allowed(share), rel=0.05)
     assert curve.mean() == pytest.approx(found.displacement_m, rel=0.05)
+
+
+@pytest.mark.parametrize("limit_m", [0.13, 0.16])
+def test_the_search_finds_the_curve_that_most_often_gets_to_the_alert_limit(limit_m):
+    player = Quadratic()
+    found = HazardOptimizer(player, limit_m, OpenLoopSearch(generations=40)).search()
+    hazard = lambda length: special.ndtr(-math.log(length) / 0.2)  # noqa: E731
+    best = hazard(limit_m / player.best(0.5))
+    ramp = hazard(player.length(np.full(player.steps, limit_m)))
+    stated = special.ndtr(found.displacement_m)
+    assert ramp + 0.6 * (best - ramp) < stated < best + 0.03
+    # what it says of the curve is so
+    (curve,) = OpenLoopOptimizer(player, 0.5, OpenLoopSearch()).curves(found.rates_mps[None])
+    assert curve.mean() == pytest.approx(limit_m, rel=0.02)
+    assert hazard(player.length(curve)) == pytest.approx(stated, abs=0.03)
+
+
+def test_an_alert_limit_that_no_attack_gets_to_or_that_all_do_ends_the_search():
+    for player, limit_m, score in ((Quadratic(), 2.0, -5.0), (Quadratic(gain=1e-3), 0.5, 5.0)):
+        found = HazardOptimizer(player, limit_m, OpenLoopSearch()).search()
+        assert found.displacement_m == score
+        assert found.saturated
+        assert len(player.played) < 20
 
 
 def test_a_search_that_found_nothing_names_the_shape_that_it_kept():
@@ -251,6 +274,9 @@ def test_replay_is_searched_against_where_it_holds_and_else_the_engine(
     assert tuple(found["aims"]) == AIMS
     for aim in found["aims"].values():
         assert len(aim["rates_mps"]) == FEW.knots
+    hazard = found["aims"]["hmi"]
+    assert 0.0 < 0.9 * hazard["start_p_hmi"] <= hazard["p_hmi"] <= 1.0
+    for aim in (found["aims"][name] for name in AIMS[:2]):
         assert aim["displacement_m"] >= 0.9 * aim["start_m"] > 0.0
     assert found["aims"]["half"]["displacement_m"] >= found["aims"]["budget"]["displacement_m"]
     if why is None:
@@ -277,7 +303,8 @@ def test_what_was_found_is_played_and_a_candidate_of_the_protection(campaign):
     assert played["amplitude"] == tuning.value
     (detector,) = suite.detector_players
     members = list_optima(suite, folder, detector)
-    each = tuning.found["played"], *(tuning.found["aims"][name] for name in AIMS)
+    assert tuple(tuning.found["aims"]) == AIMS
+    each = tuning.found["played"], *tuning.found["aims"].values()
     curves = [curve["rates_mps"] for curve in each]
     # two aims may have found the same curve, which plays once
     assert [each.player.spec["rates_mps"] for each in members] == [

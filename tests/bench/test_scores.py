@@ -8,7 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from spoofgym.bench.runs.record import mask_valid_runs, undetected_displacement
+from spoofgym.bench.runs.record import (
+    count_stanford,
+    mask_valid_runs,
+    undetected_displacement,
+)
 from spoofgym.bench.scores.scores import (
     bootstrap_quantile,
     by_chance,
@@ -29,6 +33,17 @@ from spoofgym.bench.scores.statistics import (
 )
 
 pytestmark = pytest.mark.nojit
+
+
+def test_every_epoch_is_in_one_part_of_the_stanford_diagram():
+    level = np.array([[5.0, 5.0, 5.0, 15.0, np.inf, 5.0]]).T
+    error = np.array([[5.0, 9.0, 11.0, 1.0, 99.0, 1.0]]).T
+    alarm = np.array([[False] * 5 + [True]]).T
+    found = count_stanford(error, level, alarm, 10.0)
+    expected = {"nominal": 1, "misleading": 1, "hazardous": 1, "unavailable": 3}
+    assert {name: n.tolist() for name, n in found.items()} == {
+        f"{name}_epochs": [n] for name, n in expected.items()
+    }
 
 
 def test_undetected_displacement_by_hand():

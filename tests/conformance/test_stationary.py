@@ -1,11 +1,13 @@
-"""`check_stationary`: the registered detectors that depend on their age are those named here."""
+"""`check_stationary`, `check_ages`: the registered detectors that depend on their age."""
 
 import numpy as np
 import pytest
 
 from spoofgym.detectors import DETECTORS, Detector
 from spoofgym.detectors.base import compare
-from spoofgym.testing import check_stationary
+from spoofgym.detectors.build import bare_detector
+from spoofgym.testing import check_ages, check_detector, check_stationary
+from spoofgym.testing.ages import can_fly
 from spoofgym.testing.stationary import AGES_S, ATTACKS, RECEIVERS, add_ramp
 from spoofgym.testing.steady import STATE_SD, SteadyEpochs
 from tests.nightly import heavy
@@ -18,6 +20,9 @@ KNOWN = {
     "oracle-step": "without attack",
 }
 """Detectors that depend on their age, by default and on purpose, and how the check says so."""
+WEIGHING = ("ewma", "joint-chart", "pool")
+"""Those whose weights, at nominal thresholds, leave satellites out for ever longer in flight."""
+DRIFT_MPS = 4e-4  # standard deviation, reached between 3 and 10 min after switch-on
 QUICK = ("innovation-rate", "sequential-chi2", "snapshot-chi2")
 SLOW = [name for name in DETECTORS if name not in QUICK]
 
@@ -55,11 +60,29 @@ class Drifting(Size):
         return compare(size * (1.0 + epochs / 12_000.0), 5.0)
 
 
+class Growing(Size):
+    """Its threshold grows by 5 % a minute."""
+
+    def compare(self, size, epochs):
+        return compare(size, 5.0 * (1.0 + epochs / 2400.0))
+
+
+class Settled(Size):
+    """Has learned how the filter settles: blind once it knows the drift of its clock well."""
+
+    needs = frozenset({"predicted_cov"})
+
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        unsettled = epoch.predicted_cov[:, 16, 16] > DRIFT_MPS**2
+        return verdict._replace(alarm=verdict.alarm & unsettled[:, None])
+
+
 def test_a_detector_of_any_age_passes_and_finds_the_attack_at_each():
     found = check_stationary(Size())
     assert None not in found.rates_mps
-    assert found.found.shape == (len(ATTACKS), len(AGES_S))
-    assert found.found.min() > 0.9 * RECEIVERS
+    assert found.found.shape == (len(ATTACKS), len(AGES_S), RECEIVERS)
+    assert found.found.mean(axis=2).min() > 0.9
 
 
 @pytest.mark.parametrize(
@@ -67,12 +90,25 @@ def test_a_detector_of_any_age_passes_and_finds_the_attack_at_each():
     [
         (Tired(), "found in 6. of 64 .* begins 3 min after .* and in 0 when it begins 10 min"),
         (Drifting(), "without attack .* changes with the time since the reset: its medians at 3 m"),
+        (Growing(), "without attack .* changes with the time since the reset: its medians at 3 m"),
     ],
-    ids=["tired", "drifting"],
+    ids=["tired", "drifting", "growing"],
 )
 def test_one_that_counts_its_epochs_fails(detector, said):
     with pytest.raises(AssertionError, match=said):
         check_stationary(detector)
+
+
+def test_one_that_takes_its_age_from_the_filter_fails_in_flight():
+    said = "found in 6. of 64 .* begins 3 min after the switch-on, and in 0 when it begins 10 min"
+    with pytest.raises(AssertionError, match=said):
+        check_ages(Settled())
+
+
+def test_check_detector_looks_at_the_age_where_it_is_asked_to():
+    check_detector(Tired())
+    with pytest.raises(AssertionError, match="in 0 when it begins 10 min"):
+        check_detector(Tired(), stationary=True)
 
 
 @pytest.mark.parametrize("name", heavy(DETECTORS, *SLOW))
@@ -82,6 +118,19 @@ def test_registered_detectors_do_not_depend_on_their_age_but_those_that_are_know
             check_stationary(name)
     else:
         check_stationary(name)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", DETECTORS)
+def test_in_flight_the_same_depend_on_their_age_and_those_that_weigh(name):
+    if not can_fly(bare_detector(name)):
+        with pytest.raises(ValueError, match="what a tightly coupled receiver does not have"):
+            check_ages(name)
+    elif name in KNOWN or name in WEIGHING:
+        with pytest.raises(AssertionError, match="without attack"):
+            check_ages(name)
+    else:
+        check_ages(name)
 
 
 @pytest.mark.parametrize(

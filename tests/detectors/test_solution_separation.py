@@ -7,6 +7,7 @@ import pytest
 import scipy.stats
 
 from spoofgym.detectors import DetectorContext, SolutionSeparation
+from spoofgym.detectors.base import MISSED
 from spoofgym.earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from spoofgym.receiver.augmented import FIRST
 from spoofgym.receiver.epoch import Epoch
@@ -125,6 +126,63 @@ def test_the_covariance_is_what_coasting_costs_and_without_an_alarm_the_bound_ho
         flat = detector.memory["separation"][:, PLACE, 0] @ axes_at(POSITION).T
         size = np.linalg.norm(flat, axis=1)
         assert (found.alarm[:, 0] | (size <= detector.bound_m(0.5 * k))).all()
+
+
+def horizontal_sd(P):
+    """Largest standard deviation of a horizontal direction."""
+    axes = axes_at(POSITION)
+    return np.sqrt(np.linalg.eigvalsh(axes @ P[PLACE, PLACE] @ axes.T)[-1])
+
+
+@pytest.mark.nojit
+def test_the_protection_level_is_that_of_the_longest_attack():
+    filter_, detector = LinearFilter(np.random.default_rng(3)), bound(longest_s=12.0, spacing_s=4.0)
+    filter_.coasting, fa = filter_.P.copy(), np.sqrt(scipy.stats.chi2.isf(1e-5 / 4, 2))
+    md = np.sqrt(scipy.stats.chi2.isf(MISSED, 2))
+    for k in range(1, 33):
+        epoch = filter_.epoch()
+        detector.judge(epoch)
+        if k == 8:  # from the ninth epoch on the second solution coasts
+            second = filter_.P.copy()
+        if k > 8:
+            Phi = epoch.transition[0]
+            second = Phi @ second @ Phi.T + np.diag(filter_.noise)
+        if k in (5, 24, 32):  # the first one is the only one as old as the attack, then the second
+            coasting = second if k == 32 else filter_.coasting
+            parts = horizontal_sd(coasting - filter_.P), horizontal_sd(coasting)
+            for scale in (1.0, 4.0):
+                expected = np.sqrt(scale) * fa * parts[0] + md * parts[1]
+                found = detector.protection_level(epoch, scale)
+                np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_without_an_alarm_the_error_exceeds_the_protection_level_as_rarely_as_stated(monkeypatch):
+    """2000 Kalman filters with their true errors, and offsets of eight sizes."""
+    stated, runs, rng = 0.05, 2000, np.random.default_rng(4)
+    monkeypatch.setattr("spoofgym.detectors.solution_separation.MISSED", stated)
+    filter_, detector = LinearFilter(rng), SolutionSeparation(longest_s=20.0, false_alarm=0.05)
+    ids = tuple(f"G{j:02d}" for j in range(N))
+    detector.bind(DetectorContext(runs, N, 0.5, np.ones(2 * N), ids, None, STATES, 4))
+    error = rng.multivariate_normal(np.zeros(STATES), filter_.P, runs)
+    offset = np.linspace(0.0, 30.0, 8).repeat(runs // 8)[:, None] * rng.standard_normal(2 * N)
+    beyond, beyond_less = [], []
+    for _ in range(29):
+        one = filter_.epoch()
+        Phi, P, H, S = (x[0] for x in (one.transition, one.predicted_cov, one.design, one[7]))
+        error = error @ Phi.T + rng.standard_normal((runs, STATES)) * np.sqrt(filter_.noise)
+        noise = rng.standard_normal((runs, 2 * N)) * np.sqrt(filter_.R)
+        z = error @ H.T + noise + offset
+        many = [x if x is None else np.repeat(x[:1], runs, axis=0) for x in one]
+        epoch = Epoch(*many)._replace(innovation=z)
+        silent = ~detector.judge(epoch).alarm[:, 0]
+        error = error - z @ (P @ H.T @ np.linalg.inv(S)).T
+        far = np.linalg.norm(error[:, PLACE] @ axes_at(POSITION).T, axis=1)
+        for part, found in ((1.0, beyond), (0.7, beyond_less)):
+            above = silent & (far > part * detector.protection_level(epoch))
+            found.append(above.reshape(8, -1).mean(axis=1))
+    spread = np.sqrt(stated * (1.0 - stated) / (runs // 8))
+    assert np.max(beyond) < stated + 4.0 * spread  # 232 shares: by chance in less than 1 of 100
+    assert np.max(beyond_less) > stated  # a smaller level would not do
 
 
 @pytest.mark.nojit

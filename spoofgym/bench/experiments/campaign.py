@@ -33,7 +33,7 @@ from ..scores.campaign import (
 )
 from ..search.amplitude import TuningResult, search_work, with_rates
 from ..search.attack_suite import SuiteAttack, WorstAttacks, expected_plays, play_winners
-from ..search.open_loop import AIMS, Optima, fit
+from ..search.open_loop import Optima, fit
 from .runner import Context, Experiment, run_experiment
 from .store import Cell, Reader, Result, Store
 from .suite import Suite
@@ -392,6 +392,8 @@ class _Players(NamedTuple):
     def _head(self, panel: Panel, number: int, spoofer: PlayerSpec) -> dict[str, Any]:
         """The pair that plays, and its settings."""
         detector, spec, within = self.detectors[number], spoofer.spec, None
+        judge = panel.judges[number]
+        protects_s = getattr(getattr(judge, "detector", judge), "longest_s", None)
         found = self.results.search(detector.label, spoofer.label) if spoofer.tuned else None
         if found is not None:
             chosen = spoofer
@@ -406,7 +408,8 @@ class _Players(NamedTuple):
             "knowledge": describe_knowledge(spoofer, panel.setup, detector),
             "attack": panel.setup.attack.label,
             "tuned_within_budget": within,
-            "judges_channels": panel.judges[number].scope == "channel",
+            "judges_channels": judge.scope == "channel",
+            **({} if protects_s is None else {"protects_s": protects_s}),
         }
 
     def protections(self, detectors: Mapping[int, PlayerSpec]) -> Iterator[Protection]:
@@ -432,7 +435,7 @@ def list_optima(suite: Suite, results: CampaignResults, detector: PlayerSpec) ->
     for entry in suite.spoofer_players:
         result = results.search(detector.label, entry.label) if entry.needs_search else None
         if result is not None and result.found is not None:
-            each = (result.found["played"], *(result.found["aims"][name] for name in AIMS))
+            each = (result.found["played"], *result.found["aims"].values())
             curves = [with_rates(entry, curve["rates_mps"]) for curve in each]
             own = [curve for k, curve in enumerate(curves) if curve not in curves[:k]]
             members += [SuiteAttack("c", curve, True) for curve in own]

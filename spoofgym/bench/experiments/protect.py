@@ -177,10 +177,11 @@ class Worlds:
     ) -> tuple[SuiteAttack, ...]:
         """Best profiles that a search finds against a detector, for each of its aims."""
         bounds = DisplacementBounds(self.world, [detector.player], self.entropy, BUDGET)
-        optima = Optima(bounds, Tuning(), threads=self.threads)
+        limit = self.task.alert_limit_m
+        optima = Optima(bounds, Tuning(), threads=self.threads, alert_limit_m=limit)
         spoofer = specify_spoofer(add_tuned_setting({"name": "open-loop"}))
         found = optima.find(detector.player, spoofer, tick)["aims"]
-        curves = {tuple(found[aim]["rates_mps"]) for aim in AIMS}
+        curves = {tuple(each["rates_mps"]) for each in found.values()}
         return tuple(SuiteAttack("c", with_rates(spoofer, [*x]), False) for x in sorted(curves))
 
     def list_attacks(self, family: AttackFamily) -> tuple[SuiteAttack, ...]:

@@ -206,7 +206,8 @@ class Suite:
 
     def optima(self, threads: int | None = None) -> Optima:
         """Searches for optimized open-loop attacks."""
-        return Optima(self.build_bounds(), self.tuning, self.spoofer_players, threads)
+        players, limit = self.spoofer_players, float(self.alert_limit_m)
+        return Optima(self.build_bounds(), self.tuning, players, threads, limit)
 
     @cached_property
     def _points(self) -> dict[str, list[OperatingPoint]]:

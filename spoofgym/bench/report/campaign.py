@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from ...detectors.calibrated import NOISY_WARMUP
 from ...spoofers.base import sees_statistics
 from ..experiments.campaign import CampaignResults
-from ..runs.record import MEASURES
+from ..runs.record import MEASURES, STANFORD
 from ..scores.campaign import ANY_RATE, CONTROLS, HALF, NOMINAL, STEALTHY, extract_name, headline
 from ..scores.statistics import Estimate
 from ..search.attack_suite import FAMILIES as FAMILIES
@@ -155,6 +155,15 @@ def list_bound_marks(bracket: Row) -> list[str]:
         names = ", ".join(each["spoofer"] for each in bracket["above_zero_alarm"])
         marks.append(f"above the zero-alarm bound: {names}")
     return marks
+
+
+def list_uncovered(summary: Row) -> list[str]:
+    """Which detectors have no protection level for the attack's length, and why."""
+    return [
+        f"{row['detector']}: {row['protection_level']['why']}"
+        for row in summary["detectors"]
+        if "why" in row.get("protection_level", {})
+    ]
 
 
 def mark_detector(summary: Row, detector: str) -> str:
@@ -301,6 +310,27 @@ CLEAN = Table(
     ("navigation error, RMS [m]", "navigation_rms_m", "{:.2f}".format),
     ("largest while coasting [m]", "coasting_error_m", format_number),
 )
+INTEGRITY = Table(
+    ("detector", "detector"),
+    (
+        "protection level, median [m]",
+        lambda row: row["protection_level"]["median_m"],
+        format_number,
+    ),
+    *(
+        (f"{name} [%]", lambda row, name=name: row["protection_level"][name], percent)
+        for name in STANFORD
+    ),
+)
+"""Stanford diagram of the clean runs."""
+
+
+def integrity_rows(summary: Row, group: FalseAlarmGroup) -> list[Row]:
+    """Rows of `INTEGRITY`: detectors that have a protection level for the attack's length."""
+    rows = group.rows(summary["detectors"])
+    return [row for row in rows if "median_m" in row.get("protection_level", {})]
+
+
 KNOWLEDGE = Table(
     ("spoofer", itemgetter(0)),
     ("knows at run time", lambda row: row[1]["run_time"]),
@@ -386,6 +416,7 @@ def print_campaign(summary: Row) -> None:
     notes = [
         *list_limit_notes(summary),
         *(f"No zero-alarm bound of {x}." for x in bound_notes(summary)),
+        *(f"No protection level of {x}." for x in list_uncovered(summary)),
     ]
     for k, group in enumerate(groups(summary)):
         name = f"{summary['scenario']}, {group.title}"
@@ -397,5 +428,7 @@ def print_campaign(summary: Row) -> None:
         if rows := exact_rows(summary, group):
             EXACTLY.print(f"{name}: at exactly {100 * summary['budget']:g} % alarms", rows, names=2)
         CLEAN.print(f"{name}: price", group.rows(summary["detectors"]))
+        if rows := integrity_rows(summary, group):
+            INTEGRITY.print(f"{name}: protection level", rows)
     if summary["missing"]:
         print(f"not finished: {', '.join(summary['missing'])}")

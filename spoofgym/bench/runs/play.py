@@ -10,15 +10,16 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.memory import Memory
 from ...detectors import Detector
-from ...detectors.base import judge_epoch
+from ...detectors.base import has_protection_level, judge_epoch
 from ...envs.observer import Observer
 from ...envs.spoofer_binding import apply_pace, bound_spoofer
 from ...envs.terms.action import CommandMap, Decisions
 from ...simulation.engine import Engine
-from ...simulation.monitors import Monitored, PassiveDetectors
+from ...simulation.monitors import Monitor, Monitored, PassiveDetectors
 from ...simulation.setup import Setup
-from ...simulation.simulator import Simulator
+from ...simulation.simulator import FixedChoices, Simulator
 from ...spoofers import Spoofer, make_spoofer
 
 FloatArray = NDArray[np.float64]
@@ -163,7 +164,8 @@ class Runs(NamedTuple):
     - `onset` (R,) epoch of `Setup.epoch_time` after which the attack began;
     - `heading` (R,) direction of the target, clockwise from north [rad];
     - `coasting` (K, R) bool, whether the epoch had no update for want of measurements;
-    - `blamed` (R,) channels that were blamed, summed over the epochs.
+    - `blamed` (R,) channels that were blamed, summed over the epochs;
+    - `protection` (K, R) protection level [m]; None but of clean runs of a detector that has one.
     """
 
     position: FloatArray
@@ -173,6 +175,7 @@ class Runs(NamedTuple):
     heading: FloatArray
     coasting: NDArray[np.bool_]
     blamed: NDArray[np.int64]
+    protection: FloatArray | None = None
 
     def first(self, count: int) -> Runs:
         return self.take(np.arange(min(count, len(self.peak))))
@@ -187,6 +190,7 @@ class Runs(NamedTuple):
             heading=self.heading[rows],
             coasting=self.coasting[:, rows],
             blamed=self.blamed[rows],
+            protection=None if self.protection is None else self.protection[:, rows],
         )
 
     @property
@@ -208,7 +212,7 @@ class WarmStart:
         rngs: Sequence[np.random.Generator],
         *,
         threads: int | None = None,
-        given: Mapping[str, Any] | None = None,
+        given: FixedChoices | None = None,
     ) -> None:
         self.setup, self.receivers, self._threads = setup, len(rngs), threads
         self._engine = Engine(len(rngs), setup, threads=threads)
@@ -285,6 +289,34 @@ class PanelDetectors(PassiveDetectors):
             detector.memory.copy_rows(to, other.detectors[k].memory, rows)
 
 
+class ProtectionLevels(Monitor):
+    """Protection levels of detectors, which have judged an epoch before this looks at it. `levels`:
+    for each detector (B,) of every epoch so far, nothing for one that has none."""
+
+    def __init__(self, detectors: Sequence[Detector]) -> None:
+        self._judges = detectors
+        self.levels: list[list[FloatArray]] = [[] for _ in detectors]
+
+    @classmethod
+    def attach(cls, simulator: Simulator) -> Self:
+        """Protection levels from now on; at no cost where no detector has one."""
+        panel = _find_panel(simulator)
+        found = cls([simulator.detector] if panel is None else panel.detectors)
+        if any(has_protection_level(each) for each in found._judges):
+            found.bind(simulator)
+            simulator.monitors.append(found)
+        return found
+
+    def bind(self, simulator: Monitored) -> None:
+        self.memory = Memory(simulator.receivers)
+
+    def update(self, simulator: Monitored) -> None:
+        for judge, levels in zip(self._judges, self.levels, strict=True):
+            found = judge.protection_level(simulator.epoch)
+            if found is not None:
+                levels.append(found)
+
+
 def _find_panel(simulator: Simulator) -> PanelDetectors | None:
     return next((each for each in simulator.monitors if isinstance(each, PanelDetectors)), None)
 
@@ -331,6 +363,8 @@ def play_side_by_side(
     coasting = np.zeros((epochs, everyone), dtype=np.bool_)
     rows = np.arange(everyone)
     position = np.full((epochs, *simulator.position.shape), np.nan)
+    clean = simulator.clean is not None and not drop_alarmed
+    levels = ProtectionLevels.attach(simulator).levels if clean else [[] for _ in range(count)]
     onset, heading = simulator.onset.copy(), simulator.heading.copy()
     for k in range(epochs):
         attacker.engine.step(attacker.command(k))
@@ -353,7 +387,11 @@ def play_side_by_side(
                 attacker.go_on_with(start.extract(attacker.engine, open_rows), open_rows)
                 rows = rows[open_rows]
     return [
-        Runs(position, alarm[d], peak[d], onset, heading, coasting, total[d]) for d in range(count)
+        Runs(
+            *(position, alarm[d], peak[d], onset, heading, coasting, total[d]),
+            np.array(levels[d]) if levels[d] else None,
+        )
+        for d in range(count)
     ]
 
 

@@ -32,7 +32,9 @@ class RunRecord:
       ``largest_error_m`` and ``final_error_m`` of the command phase, alarmed or not;
       ``navigation_rms_m`` distance from the truth; ``coasting_epochs``, and ``coasting_error_m``
       the largest distance from the truth in them; ``blamed`` channels, summed over the epochs;
-      ``sky`` which one it flew under; ``peak_ratio`` of statistic to threshold;
+      ``sky`` which one it flew under; ``peak_ratio`` of statistic to threshold; of clean runs of a
+      detector with a protection level ``protection_level_m``, its median, and how many epochs are
+      what in the Stanford diagram (`count_stanford`);
     - `series`: by epoch: ``time_s`` since the onset, ``alarmed`` part of the runs, ``error_m``
       percentiles over all runs.
     """
@@ -157,6 +159,9 @@ def record_runs(
     }
     records |= {name: np.round(x, 6) for name, x in numbers.items()}
     records |= measure_displacement(setup, attacked, twin)
+    if attacked.protection is not None:
+        records["protection_level_m"] = np.round(np.median(attacked.protection, axis=0), 6)
+        records |= count_stanford(total, attacked.protection, attacked.alarm, alert_limit_m)
     epochs = np.arange(1, len(error) + 1)
     bands = np.percentile(error, PERCENTILES, axis=1)
     series = {
@@ -168,6 +173,31 @@ def record_runs(
     }
     lengths = {"interval_s": setup.interval_s, "steps": setup.steps, "hold": setup.hold}
     return RunRecord({**head, **lengths}, records, series)
+
+
+STANFORD = ("nominal", "misleading", "hazardous", "unavailable")
+"""Parts of the Stanford diagram."""
+
+
+def count_stanford(
+    error: FloatArray, level: FloatArray, alarm: Mask, alert_limit_m: float
+) -> dict[str, NDArray[np.int64]]:
+    """Epochs by the parts of the Stanford diagram (`tossaint2007`), (R,) by name. With the position
+    error `error` (K, R) and the protection level `level` (K, R) [m]
+
+    - unavailable: the level exceeds the alert limit, or there is an `alarm` (K, R);
+    - else nominal: the error is within the level; misleading: it exceeds the level, hazardous: the
+      alert limit, too."""
+    available = (level <= alert_limit_m) & ~alarm
+    beyond = available & (error > level)
+    parts = (
+        available & ~beyond,
+        beyond & (error <= alert_limit_m),
+        beyond & (error > alert_limit_m),
+        ~available,
+    )
+    names = (f"{name}_epochs" for name in STANFORD)
+    return {name: part.sum(axis=0) for name, part in zip(names, parts, strict=True)}
 
 
 class Aim(NamedTuple):

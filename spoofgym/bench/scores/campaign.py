@@ -20,15 +20,25 @@ budget pays for some alarms; it is marked where it does by more than two standar
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...detectors.base import MISSED
 from ...detectors.calibration_file import hourly_rate
 from ...spoofers.base import sees_statistics
-from ..runs.record import MEASURES, Aim, Protection, RunRecord, Winner, compute_upper_quantile
+from ..runs.record import (
+    MEASURES,
+    STANFORD,
+    Aim,
+    Protection,
+    RunRecord,
+    Winner,
+    compute_upper_quantile,
+)
 from .scores import (
     ALIKE,
     SHARES,
@@ -97,7 +107,27 @@ def score_detector(clean: RunRecord) -> dict[str, Any]:
         "blamed_s_per_hour": round(blamed, 4) if clean.head["judges_channels"] else None,
         "navigation_rms_m": float(np.sqrt(np.mean(records["navigation_rms_m"] ** 2)).round(4)),
         "coasting_error_m": compute_mean(records["coasting_error_m"][coasting]),
+        **score_protection_level(clean),
     }
+
+
+def score_protection_level(clean: RunRecord) -> dict[str, Any]:
+    """Protection level of a detector that has one, its median over the clean runs, and the parts of
+    the Stanford diagram in which their epochs are; only ``why`` where the attack is longer than
+    the level is for."""
+    if "protection_level_m" not in clean.records:
+        return {}
+    window_s = clean.window * clean.interval_s
+    longest_s = clean.head.get("protects_s", math.inf)
+    if window_s > longest_s + 1e-9:
+        why = f"the attack of {window_s:g} s is longer than the {longest_s:g} s of its bank"
+        return {"protection_level": {"why": why}}
+    shares = {
+        name: clustered_proportion(clean.records[f"{name}_epochs"], clean.window).as_json()
+        for name in STANFORD
+    }
+    level = round_number(np.median(clean.records["protection_level_m"]))
+    return {"protection_level": {"median_m": level, "missed": MISSED, **shares}}
 
 
 def _per_hour(per_run: Estimate, window_s: float) -> dict[str, float | None]:

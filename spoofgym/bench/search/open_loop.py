@@ -11,6 +11,9 @@ largest ratio of statistic to threshold comes to 1 is interpolated between two t
 score is the displacement at the quantile of these, by a line through the smaller ones against
 normal scores, which a single run moves less than the quantile itself.
 
+Another aim is P(HMI): every candidate is scored at the amplitude that takes it to the alert limit,
+by the share of the runs in which it raises no alarm.
+
 In a campaign passive detectors share one response replay.  A curve found by replay is played on the
 engine, too, and where its displacement is another one there, the search is done again on the
 engine.  The amplitude is fitted on training runs, where a few alarms decide: so the plain curves
@@ -59,6 +62,10 @@ SPREAD = 0.15
 LOWER_PART = 0.3  # part of the runs above the share; their amplitudes decide on the quantile, too
 SATURATION = 0.95
 """Part of the farthest reach of the attack from which on a search is over before it begins."""
+NEVER_SEEN = 5.0  # margin, in standard deviations, from which on there is nothing to gain
+WIDEST, SLOWEST_GROWTH = 4.0, 0.25
+"""Factor that a candidate may need to get to the alert limit, and the smallest power of the
+amplitude by which it is taken to get farther."""
 SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
     "ramp": lambda t: np.ones_like(t),
     "smooth entry": lambda t: np.where(t < 0.5, t * t * (12.0 - 16.0 * t), 1.0),
@@ -91,7 +98,7 @@ class OpenLoopAttack(NamedTuple):
     """A curve that a search has found.
 
     - `rates_mps` (knots,) at the amplitude that the share of alarms allows on the runs;
-    - `displacement_m` it gets there, by the score of the search;
+    - `displacement_m` it gets there, by the score of the search (`HazardOptimizer`: another score);
     - `start`: shape that the search began at, and `start_m` what that gets;
     - `free`: whether it gets as far as any attack, so that nothing was left to search for.
     """
@@ -156,11 +163,29 @@ class OpenLoopOptimizer:
         scales, found = LADDER * limit, OpenLoopAttack(np.zeros(0), -1.0, "", -1.0)
         edges, reach = self._climb(np.array(list(shapes.values())), scales)
         for (name, shape), of_runs, farthest in zip(shapes.items(), edges, reach, strict=True):
-            scale = self._fit_amplitude(of_runs)
-            score = float(np.interp(math.log(scale), np.log(scales), farthest))
-            if score > found.displacement_m:
+            scale, score = self._score_shape(of_runs, scales, farthest)
+            if not found.start or score > found.displacement_m:
                 found = OpenLoopAttack(scale * shape, score, name, score)
-        return found, found.displacement_m >= SATURATION * float(reach.max())
+        return found, self._is_free(found.displacement_m, float(reach.max()))
+
+    def _score_shape(
+        self, edges: FloatArray, scales: FloatArray, reach: FloatArray
+    ) -> tuple[float, float]:
+        """Amplitude of a shape, and its score there; (N,) `edges` of single runs, `reach` (L,)."""
+        scale = self._fit_amplitude(edges)
+        return scale, float(np.interp(math.log(scale), np.log(scales), reach))
+
+    def _score_pairs(
+        self, edges: FloatArray, middle: float, reach: FloatArray, growth: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(P,) amplitudes of curves, and their scores there; (P, N) `edges` of single runs, (P,)
+        `reach` at an amplitude `middle`, and the power `growth` of it by which it grows."""
+        scale = np.array([self._fit_amplitude(each) for each in edges])
+        return scale, reach * (scale / middle) ** growth
+
+    def _is_free(self, score: float, farthest: float) -> bool:
+        """Whether nothing is left to search for."""
+        return score >= SATURATION * farthest
 
     def _climb(self, shapes: FloatArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(P, N) amplitudes at which single runs alarm, and (P, L) how far shapes (P, knots) get at
@@ -173,10 +198,7 @@ class OpenLoopOptimizer:
 
     def _fit_amplitude(self, edges: FloatArray) -> float:
         """Amplitude that a share of alarms allows, by (N,) those at which single runs alarm."""
-        count = len(edges)
-        lowest = min(max(4, math.ceil((self.share + LOWER_PART) * count)), count)
-        normal = special.ndtri((np.arange(lowest) + 0.5) / count)
-        slope, level = np.polyfit(normal, np.log(np.sort(edges)[:lowest]), 1)
+        slope, level = fit_log_normal(edges, self.share + LOWER_PART)
         return float(np.exp(level + slope * special.ndtri(self.share)))
 
     def _batch(self, turn: int) -> Rows:
@@ -244,11 +266,63 @@ class OpenLoopOptimizer:
         width, middle = math.log(PAIR[1] / PAIR[0]), math.sqrt(PAIR[0] * PAIR[1])
         power = np.clip((high - low) / width, FLATTEST, STEEPEST)
         edges = middle * np.exp(np.clip(-0.5 * (low + high) / power, -1.5, 1.5))
-        scale = np.array([self._fit_amplitude(each) for each in edges])
         near, far = reach.reshape(2, -1)
         growth = np.clip(np.log(far / near) / width, 0.0, 1.5)
-        score = np.sqrt(near * far) * (scale / middle) ** growth
+        scale, score = self._score_pairs(edges, middle, np.sqrt(near * far), growth)
         return score, rates * scale[:, None]
+
+
+class HazardOptimizer(OpenLoopOptimizer):
+    """Search for the curve that most often gets to an alert limit without an alarm. The score, in
+    the place of the displacement, is the quantile of P(HMI), `special.ndtr` of which it is."""
+
+    def __init__(self, backend: Backend, limit_m: float, settings: OpenLoopSearch) -> None:
+        super().__init__(backend, 0.5, settings)
+        self.limit_m = limit_m
+
+    def _try_fastest(self, knots: int) -> OpenLoopAttack | None:
+        found = super()._try_fastest(knots)
+        if found is None:
+            return None
+        score = NEVER_SEEN if found.displacement_m > self.limit_m else -NEVER_SEEN
+        return found._replace(displacement_m=score, start_m=score)
+
+    def _score_shape(
+        self, edges: FloatArray, scales: FloatArray, reach: FloatArray
+    ) -> tuple[float, float]:
+        if reach[-1] < self.limit_m:
+            return float(scales[-1]), -NEVER_SEEN
+        scale = math.exp(np.interp(self.limit_m, reach, np.log(scales)))
+        return scale, self._margin(edges, scale)
+
+    def _score_pairs(
+        self, edges: FloatArray, middle: float, reach: FloatArray, growth: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        power = 1.0 / np.maximum(growth, SLOWEST_GROWTH)
+        wanted = middle * (self.limit_m / np.maximum(reach, 1e-9)) ** power
+        scale = np.clip(wanted, 1.0 / WIDEST, WIDEST)
+        pairs = zip(edges, scale.tolist(), strict=True)
+        margin = np.array([self._margin(*each) for each in pairs])
+        return scale, np.where(wanted > WIDEST, -NEVER_SEEN, margin)
+
+    def _margin(self, edges: FloatArray, scale: float) -> float:
+        """Standard deviations of the runs' logarithmic amplitudes between an amplitude and them."""
+        slope, level = fit_log_normal(edges, 1.0)
+        margin = (level - math.log(scale)) / max(slope, 1e-3)
+        return float(np.clip(margin, -NEVER_SEEN, NEVER_SEEN))
+
+    def _is_free(self, score: float, farthest: float) -> bool:
+        return abs(score) >= NEVER_SEEN
+
+
+def fit_log_normal(amplitudes: FloatArray, part: float) -> tuple[float, float]:
+    """Slope and level of a line through logarithmic amplitudes against normal scores, the smallest
+    `part` of them."""
+    count = len(amplitudes)
+    lowest = min(max(4, math.ceil(part * count)), count)
+    normal = special.ndtri((np.arange(lowest) + 0.5) / count)
+    slope, level = np.polyfit(normal, np.log(np.sort(amplitudes)[:lowest]), 1)
+    return float(slope), float(level)
 
 
 def crossing(amplitudes: FloatArray, peak: FloatArray) -> float:
@@ -264,9 +338,10 @@ def crossing(amplitudes: FloatArray, peak: FloatArray) -> float:
     return float(amplitudes[k - 1] * ratio ** min(max(-low / max(high - low, 1e-12), 0.0), 1.0))
 
 
-AIMS = ("budget", "half")
+AIMS = ("budget", "half", "hmi")
 """What a curve is for: the alarm budget of a stealthy attack, as far as an amplitude that is fitted
-keeps it, or half of the runs alarming, by which the protection is given."""
+keeps it; half of the runs alarming, by which the protection is given; most runs that come beyond
+the alert limit without an alarm, where there is one."""
 LINEAR_ERROR = 0.02
 """How far the displacement on the engine may be from that of the replay, as a part of it."""
 RUNS_EACH = 4
@@ -307,7 +382,8 @@ def share_skies(setup: Setup, entropy: int, runs: int) -> dict[str, Any]:
 
 class Optima:
     """Searches for open-loop attacks against the detectors of `brackets`, in its world. `spoofers`
-    also play there; the profiles among them are candidates of a search."""
+    also play there; the profiles among them are candidates of a search. `alert_limit_m`: that of
+    the aim ``hmi``, which is left out without one."""
 
     def __init__(
         self,
@@ -315,8 +391,10 @@ class Optima:
         tuning: Tuning,
         spoofers: Sequence[PlayerSpec] = (),
         threads: int | None = None,
+        alert_limit_m: float | None = None,
     ) -> None:
         self.bounds, self.tuning, self.spoofers = brackets, tuning, spoofers
+        self.alert_limit_m = alert_limit_m
         self.world, self.threads, own = brackets.world, threads, OpenLoopSearch()
         self.settings = replace(own, runs=min(own.runs, max(RUNS_EACH * tuning.runs, 8)))
         self._replay: Replay | None = None
@@ -364,7 +442,7 @@ class Optima:
         least, tuning, settings = 1.0, self.tuning, self.settings
         for name, most in {} if backend.sums else JUDGED.items():
             settings = replace(settings, **{name: min(getattr(settings, name), most)})
-        for name, share in zip(AIMS, (aim(tuning.runs, tuning.budget), 0.5), strict=True):
+        for name, share in zip(AIMS[:2], (aim(tuning.runs, tuning.budget), 0.5), strict=True):
             # what gets as far as any attack at few alarms does so at more of them
             if best is None or not best.saturated or share < least:
                 others = {} if best is None else {BEFORE: best.rates_mps}
@@ -377,7 +455,23 @@ class Optima:
                 "start": best.start,
                 "start_m": best.start_m,
             }
+        if self.alert_limit_m is not None and best is not None:
+            found[AIMS[2]] = self._search_hazard(backend, settings, best.rates_mps)
         return found
+
+    def _search_hazard(
+        self, backend: Backend, settings: OpenLoopSearch, before: FloatArray
+    ) -> dict[str, Any]:
+        assert self.alert_limit_m is not None  # as its caller says
+        optimizer = HazardOptimizer(backend, self.alert_limit_m, settings)
+        best = optimizer.search({BEFORE: before})
+        return {
+            "limit_m": self.alert_limit_m,
+            "rates_mps": [float(f"{rate:.6g}") for rate in best.rates_mps],
+            "p_hmi": float(special.ndtr(best.displacement_m)),
+            "start": best.start,
+            "start_p_hmi": float(special.ndtr(best.start_m)),
+        }
 
     def _zero_alarm(self, detector: PlayerSpec) -> dict[str, list[float]]:
         """Shape of the attack that gets farthest without an alarm of its own doing, if known. It is
