@@ -96,10 +96,11 @@ def report_loudest(statistic, threshold, numbers):
     `statistic`, `threshold` (B, c) of a verdict."""
     receivers = statistic.shape[0]
     for b in range(receivers):
-        loudest = 0
-        for c in range(1, statistic.shape[1]):
-            if statistic[b, c] / threshold[b, c] > statistic[b, loudest] / threshold[b, loudest]:
-                loudest = c
+        loudest, largest = 0, -math.inf
+        for c in range(statistic.shape[1]):
+            ratio = statistic[b, c] / threshold[b, c]
+            if ratio > largest:
+                loudest, largest = c, ratio
         numbers[STATISTIC * receivers + b] = statistic[b, loudest]
         numbers[THRESHOLD * receivers + b] = threshold[b, loudest]
 

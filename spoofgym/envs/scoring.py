@@ -125,11 +125,13 @@ class StepResult:
         info.update(self.extra)
         return info
 
-    def report(self, verdict: Verdict) -> None:
+    def report(self, verdict: Verdict | None) -> None:
         """Write the statistic and the threshold of a verdict, of the channel with the largest
         ratio."""
-        both = verdict.statistic, verdict.threshold
-        _kernels.report_loudest(*map(np.ascontiguousarray, both), self.numbers)
+        assert verdict is not None  # there is one in every epoch
+        statistic = np.ascontiguousarray(verdict.statistic)
+        threshold = np.ascontiguousarray(verdict.threshold)
+        _kernels.report_loudest(statistic, threshold, self.numbers)
 
     def unpack_with_masks(self) -> tuple[FloatArray, Mask, Mask, Info]:
         """Rewards, ends and information, with masks that every receiver has it; no `extra`."""

@@ -1,5 +1,7 @@
 """Wrappers of the single environment; `vector` has their twins of the same names.
 
+Users find them in `spoofgym.wrappers`.
+
 `DetectorWrapper`, `WatchWrapper`, `StealthBudget` and `EpochInfo` only set something in the engine
 before the first episode: nothing outside could sit between the halves of an epoch.  So each is the
 same as an argument of the environment.  A detector that only looks may be outside:
