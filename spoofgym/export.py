@@ -17,15 +17,21 @@ import json
 import logging
 import tempfile
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from pydantic import ValidationError
+
+from .core.extras import name_extra
+
+try:
+    import torch
+except ImportError as error:
+    raise name_extra("spoofgym.export", error) from error
 
 from .bench.experiments.identity import versions
 from .core.declared import check_number
@@ -37,7 +43,6 @@ from .detectors.build import spec_of_judge
 from .detectors.learned import DetectorAgent, action_names, detector_card
 from .detectors.observation import DetectorObserver
 from .duel.views import write_card
-from .envs.factory import select_victim
 from .envs.spoofer_binding import find_env_id, spoofer_context
 from .policies.card import (
     Card,
@@ -60,7 +65,10 @@ from .spoofers.learned import (
     get_normalization,
     inner_env,
     make_function,
+    name_own_wrappers,
+    refuse_changes,
     refuse_state,
+    warn_of_statistics,
 )
 from .spoofers.scaled import own_columns
 
@@ -248,6 +256,8 @@ def trace_module(
                 output_names=["action", *(f"{NEXT}{name}" for name in states)],
                 dynamic_shapes=(batch, tuple(batch for _ in states)) if states else (batch,),
             )
+    except ModuleNotFoundError as error:  # onnxscript
+        raise name_extra("spoofgym.export", error) from error
     except (torch.onnx.errors.OnnxExporterError, RuntimeError) as error:
         first = str(error).strip().partition("\n")[0]
         raise ValueError(f"torch can't export this network: {first}") from error
@@ -501,8 +511,14 @@ def onnx(
     env = model.get_env() if env is None and hasattr(model, "get_env") else env
     inner = inner_env(env)
     if inner is None:
-        raise TypeError(f"`env` must be an environment of spoofgym, wrapped or not, got {env!r}")
+        raise TypeError(
+            f"`env` must be an environment of spoofgym, wrapped or not, in this process, got "
+            f"{env!r}; of one in another process, as by SubprocVecEnv, give one that is made alike"
+        )
+    refuse_changes(env, "this policy", normalized=True)
     normalization = _normalization_around(model, env)
+    if normalization is None:
+        warn_of_statistics(model)
     low, high = inner.core.bounds
     judges = hasattr(inner.core, "duel")
     if judges and amplitude != 1.0:
@@ -520,7 +536,7 @@ def onnx(
             card = write_card(trial, inner, name=path.stem, training=details)
             act = OnnxDetector(trial).model.act
         else:
-            card = _make_card(inner, path, content, details, designed_on)
+            card = _make_card(inner, path, content, details, designed_on, name_own_wrappers(env))
             _write(trial, content, card)
             act = OnnxPolicy(str(trial)).model.act
         _compare(model, normalization, act, low, high, amplitude, own)
@@ -552,7 +568,12 @@ def _describe_training(model: Any) -> dict[str, Any]:
 
 
 def _make_card(
-    inner: Any, path: Path, content: bytes, training: Mapping[str, Any], designed_on: str | None
+    inner: Any,
+    path: Path,
+    content: bytes,
+    training: Mapping[str, Any],
+    designed_on: str | None,
+    wrappers: Sequence[str],
 ) -> SpooferCard:
     core = inner.core
     if core.settings["observation"] is not None:
@@ -564,7 +585,10 @@ def _make_card(
     context = spoofer_context(core.setup, 1, core.observer, core.commands)
     detector = env_kwargs.get("detector", "the default detector")
     name = detector["name"] if isinstance(detector, Mapping) else detector
-    met = designed_on or f"{name} and its world, by training"
+    own = f" in {', '.join(wrappers)}" if wrappers else ""
+    met = designed_on or f"{name}{own} and its world, by training"
+    if wrappers:
+        training = {"wrappers": [*wrappers], **training}
     with one_line(f"card of {path}"):
         return SpooferCard(
             name=path.stem,
@@ -585,12 +609,8 @@ def _describe_env(inner: Any) -> tuple[str, dict[str, Any]]:
         spec = getattr(inner, "spec", None)
         if spec is None:
             raise ValueError("`env` must be made by `gymnasium.make`, `make_vec` or `SpoofVecEnv`")
-        env_id, given = spec.id, spec.kwargs
-        if env_id.startswith("spoofgym/Bench"):
-            env_id = "spoofgym/TightlyCoupled-v0"
+        env_id, given = find_env_id(type(inner.core.setup)), spec.kwargs
     own = {name: value for name, value in dict(given or {}).items() if value is not None}
-    if "victim" in own:
-        env_id = find_env_id(select_victim(own["victim"]))
     own = {name: value for name, value in own.items() if name not in OF_THE_CALL}
     judge = _find_own_detector(inner, own.get("detector"))
     if judge is not None:

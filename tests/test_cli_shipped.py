@@ -72,11 +72,14 @@ def test_bench_and_run_take_learned_and_optimised_spoofers(zoo_folder):
 def test_shipped_spoofers_that_do_not_fit_are_named():
     north = [*QUICK, "--out", "out", "--attack", "false-position:axes=n"]
     assert "needs a command to the east" in refused("bench", *north)
-    assert "push does not fit this attack: " in refused("bench", *north, "--spoofer", "push")
+    assert "'push' does not fit this attack: " in refused("bench", *north, "--spoofer", "push")
     assert not Path("out").exists()
     longer = [*QUICK, "--attack-s", "25", "--detector", "ewma", "--out", "longer"]
     result = call("bench", *longer)
     assert result.exit_code == 0, result.output
-    note = "shipped spoofer curve is left out: conditions.steps: 40 on the card, 50 here"
+    note = (
+        "shipped spoofer curve is left out: 'curve' does not fit this attack: conditions.steps: 40 "
+        "on the card, 50 here; trained in another world, add --set timeline="
+    )
     assert note in result.output
     assert note in Path("longer", "results.md").read_text()

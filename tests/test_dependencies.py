@@ -1,6 +1,7 @@
 """What is installed with spoofgym is pinned, and the extras hold what they are for."""
 
 import ast
+import importlib
 import sys
 import tomllib
 from importlib import metadata
@@ -80,3 +81,20 @@ def test_the_laboratory_s_extra_holds_what_its_code_and_its_pages_use():
     # `RecordEpochs` writes Parquet, Gymnasium's `RecordVideo` takes moviepy
     assert {"pyarrow", "moviepy", "torch", "sympy"} <= {*installed}
     assert "torch" not in installed_with()
+
+
+@pytest.mark.parametrize(
+    ("module", "package"),
+    [
+        ("spoofgym.export", "torch"),
+        ("spoofgym.sb3", "stable_baselines3"),
+        ("train.ppo_spoofer", "tyro"),
+    ],
+)
+def test_a_module_without_its_packages_names_the_extra(module, package, monkeypatch):
+    top = "train" if module.startswith("train") else module
+    for name in [name for name in sys.modules if name == top or name.startswith(f"{top}.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ImportError, match=rf"needs {package}: pip install 'spoofgym\[train\]'"):
+        importlib.import_module(module)

@@ -13,7 +13,7 @@ pytest.importorskip("onnxscript")
 
 import gymnasium as gym
 from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 
 import spoofgym.export
 from spoofgym import wrappers
@@ -280,6 +280,51 @@ def test_a_module_that_is_no_detector_is_refused_and_nothing_is_written(
         spoofgym.export.detector(lambda seen: seen, tmp_path / "guard.onnx", **options)
 
 
+class Own(gym.Wrapper):
+    """A detector that knows nothing of this library."""
+
+
+class Half(gym.ObservationWrapper):
+    def observation(self, observation):
+        return 0.5 * observation
+
+
+def test_a_wrapper_that_changes_what_is_observed_is_refused_by_its_name(tmp_path):
+    """By an export, by a score, and before a policy from a card."""
+    plain = partial(gym.make, "spoofgym/TightlyCoupled-v0", knowledge="blind", **WORLD)
+    judge = Evaluator(runs=2, fit_runs=59, **WORLD)
+    for wrapped, name in (
+        (Half(plain()), "tests.test_export:Half"),
+        (VecFrameStack(make(), 3), "stable_baselines3.*:VecFrameStack"),
+    ):
+        model = PPO("MlpPolicy", wrapped, n_steps=8, batch_size=8, device="cpu")
+        for use in (partial(onnx, path=tmp_path / "x.onnx"), judge.score):
+            with pytest.raises(ValueError, match=f"the wrapper {name} changes every observation"):
+                use(model)
+    net = torch.nn.Linear(len(make().observation_names), 1)
+    onnx(net, plain(), tmp_path / "y.onnx")
+    for env in (Half(plain()), VecNormalize(make())):
+        with pytest.raises(ValueError, match=r"changes every observation, and 'y' is played witho"):
+            attach(str(tmp_path / "y.onnx"), env)
+
+
+def test_a_model_without_its_normalization_is_warned_of(tmp_path):
+    envs, statistics = VecNormalize(make(), gamma=1.0), tmp_path / "envs.pkl"
+    model = PPO("MlpPolicy", envs, n_steps=8, batch_size=32, n_epochs=1, device="cpu")
+    model.learn(32)
+    model.save(tmp_path / "model")
+    envs.save(statistics)
+    load = partial(PPO.load, tmp_path / "model", device="cpu")
+    judge = Evaluator(runs=2, fit_runs=59, **WORLD)
+    score = partial(judge.score, amplitude=1.0)
+    for bare in (make(), VecNormalize(make())):  # without statistics, or with none of its own
+        for use in (score, partial(onnx, path=tmp_path / "x.onnx")):
+            with pytest.warns(UserWarning, match=r"behind a VecNormalize.*env=VecNormalize\.load"):
+                use(load(env=bare))
+    again = score(load(env=VecNormalize.load(statistics, make())))
+    assert again.displacement_m.tolist() == score(model).displacement_m.tolist()
+
+
 def test_a_card_names_the_detector_that_a_wrapper_has_set(tmp_path):
     """Within the loop and outside, an object of a module that can be imported."""
     own = Calibrated(SnapshotChi2(signals="pseudorange"), scale=0.8)
@@ -296,6 +341,13 @@ def test_a_card_names_the_detector_that_a_wrapper_has_set(tmp_path):
         card = onnx(model, path=path)
         assert card.env_kwargs["detector"] == written
         assert "epoch" not in card.env_kwargs
+
+    model = PPO("MlpPolicy", Own(gym.make("spoofgym/BenchT1-v1")), n_steps=8, batch_size=8)
+    card = onnx(model, path=tmp_path / "own.onnx")
+    assert card.training["wrappers"] == ["tests.test_export:Own"]
+    assert card.knowledge.design_time.endswith(
+        " in tests.test_export:Own and its world, by training"
+    )
 
     class Local(SnapshotChi2):
         pass

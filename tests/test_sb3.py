@@ -1,6 +1,7 @@
 """The vector environment of stable-baselines3."""
 
 import pickle
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
 import gymnasium as gym
-from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor, VecNormalize
 
 from spoofgym.detectors import Calibrated
 from spoofgym.envs.terms.reward import AlarmPenalty, default_rewards
@@ -317,3 +318,12 @@ def test_a_wrapper_sets_the_detector_as_its_argument_does():
             DetectorWrapper(refused, "cusum")
     with pytest.raises(TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofV"):
         DetectorWrapper(SpoofVecEnv(2, side="detector"), "cusum")
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("method", ["spawn", "forkserver"])
+def test_processes_of_their_own_find_an_id_by_its_module(method):
+    make = partial(gym.make, "spoofgym:spoofgym/TightlyCoupled-v0", detector="never")
+    envs = SubprocVecEnv([make, make], start_method=method)
+    assert envs.reset().shape == (2, 6)
+    envs.close()

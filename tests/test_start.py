@@ -6,9 +6,9 @@ import sys
 HEAVY = {"IPython", "matplotlib", "onnxruntime", "pandas", "pyarrow", "stable_baselines3", "torch"}
 COMPILER = {"llvmlite", "numba", "scipy"}
 FIRST_STEPS = """
-import spoofgym, gymnasium
+import gymnasium
 for name in ("TightlyCoupled-v0", "Snapshot-v0"):
-    env = gymnasium.make(f"spoofgym/{name}")
+    env = gymnasium.make(f"spoofgym:spoofgym/{name}")  # which imports what is before the colon
     env.reset(seed=1)
     env.step(env.action_space.sample())
 """

@@ -156,7 +156,10 @@ MAX_DIGESTS = 16
 MIN_AGE_S = 86_400.0  # least age of code that is pruned: what began to use it may still add to it
 CHECKSUM_SIZE = 16
 NOTICE_S = 2.0
-NOTICE = "spoofgym: compiling for this machine, once; takes about a minute"
+NOTICE = (
+    "spoofgym: compiling {} for this machine, once; about a minute, of which `spoofgym warmup` "
+    "spares every later process"
+)
 
 
 class _Notice(event.Listener):  # type: ignore[misc]
@@ -166,11 +169,14 @@ class _Notice(event.Listener):  # type: ignore[misc]
 
     def __init__(self) -> None:
         self._depth, self._spent, self._since = 0, 0.0, math.inf
+        self._what = ""  # package and function that Python called
 
     def on_start(self, happened: event.Event) -> None:
-        of = happened.data["dispatcher"].py_func.__module__
-        if self._depth == 0 and of.partition(".")[0] == PACKAGE:
+        function = happened.data["dispatcher"].py_func
+        parts = function.__module__.split(".")
+        if self._depth == 0 and parts[0] == PACKAGE:
             self._since = time.monotonic()
+            self._what = f"{'.'.join(parts[:2])} ({function.__name__})"
         self._depth += 1
         self._look()
 
@@ -185,7 +191,7 @@ class _Notice(event.Listener):  # type: ignore[misc]
         spent = self._spent + time.monotonic() - self._since
         if spent >= NOTICE_S and not self.shown:
             self.shown = True
-            print(NOTICE, file=sys.stderr, flush=True)
+            print(NOTICE.format(self._what), file=sys.stderr, flush=True)
 
 
 event.register("numba:compile", _Notice())

@@ -240,7 +240,7 @@ class Calibrated(Detector):
         return (
             f"there is no calibration of {shown['name']} in {conditions.label} to set its "
             f"thresholds for {rate} false alarms an hour by. Make one with {line}, or "
-            f"{other}.{seen}"
+            f"{other}. A detector that a wrapper sets needs none before: detector='never'.{seen}"
         )
 
 

@@ -18,7 +18,6 @@ from ..envs.terms.action import CommandMap, Decisions
 from ..envs.terms.observation import Snapshot
 from ..simulation.setup import Setup
 from ..spoofers import Spoofer, make_spoofer
-from ..spoofers.build import card_behind
 
 FloatArray = NDArray[np.float64]
 DetectorSpec = str | Mapping[str, Any] | Detector
@@ -108,13 +107,6 @@ class SpooferPool:
         key = made.knowledge, commands.along_target
         self._seeing.append(key)
         self._observers.setdefault(key, observer)
-        card = card_behind(made)
-        found = [] if card is None else card.diff_context(context)
-        if found:
-            raise ValueError(
-                f"the spoofer {label_opponent(spec)!r} does not fit this duel on "
-                f"{setup.name!r}:\n  " + "\n  ".join(found)
-            )
         made.bind(context)
         made.reset()
         # where the world has decisions, the duel makes epochs of them

@@ -84,10 +84,27 @@ def clip_columns(out, low, high, first, last):
 
 
 # rows of what a step has brought, as `step_result` names them; parts of the reward come between
-TIME, DISPLACEMENT, UNDETECTED, COST = 0, 1, 2, 3
-PARTS = 4
+TIME, DISPLACEMENT, UNDETECTED, COST, STATISTIC, THRESHOLD = range(6)
+PARTS = 6
 GAIN, RETRACTION, REWARD = -3, -2, -1
 ALARM, DETECTED, WARMUP_ALARM, COASTING, FIRST, FINISHED, TERMINATED, TRUNCATED = range(8)
+
+
+@njit
+def report_loudest(statistic, threshold, numbers):
+    """Statistic and threshold of the channel whose ratio is largest, into their rows of `numbers`;
+    `statistic`, `threshold` (B, c) of a verdict."""
+    receivers = statistic.shape[0]
+    for b in range(receivers):
+        loudest, largest = 0, -math.inf
+        for c in range(statistic.shape[1]):
+            ratio = statistic[b, c] / threshold[b, c]
+            if ratio > largest:
+                loudest, largest = c, ratio
+        numbers[STATISTIC * receivers + b] = statistic[b, loudest]
+        numbers[THRESHOLD * receivers + b] = threshold[b, loudest]
+
+
 # what comes first in the rules of `finish`, before shares of the reward and times of the epochs
 (
     STEPS,

@@ -30,6 +30,7 @@ from .scoring import (
     PlainResult,
     ScoredStep,
     StepResult,
+    report_verdict,
 )
 from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
 from .terms.action import CommandMap, Decisions, default_action
@@ -177,8 +178,10 @@ class SpoofCore:
         monitors = needed_monitors([*seen, *self._ends.terms])
         passive = self.settings["watch"]
         self._passive = PassiveInfo(PassiveDetectors(passive), receivers) if passive else None
-        self.reset_names: tuple[str, ...] = ("time_s", "warmup_alarm", "coasting")
-        self.reset_names += setup.attack.reports
+        self.reset_names: tuple[str, ...] = (
+            *("time_s", "warmup_alarm", "coasting", "statistic", "threshold"),
+            *setup.attack.reports,
+        )
         if self._passive is not None:
             monitors.append(self._passive.monitor)
             self.reset_names += self._passive.reset_names
@@ -359,6 +362,7 @@ class SpoofCore:
         else:
             self._sequel.result, self._sequel.seen = result, seen
             engine.step(command, self._sequel)
+        result.report(engine.simulator.verdict)
         if not self._compiled:
             self._reward(result, action)
         if not observed:
@@ -434,6 +438,7 @@ class SpoofCore:
             "time_s": engine.simulator.time_s(),
             "warmup_alarm": engine.warmup_alarm.copy(),
             "coasting": engine.simulator.coasting.copy(),
+            **report_verdict(engine.simulator),
             **(engine.simulator.report_attack() if self.setup.attack.reports else {}),
             **(self._passive.reset_info() if self._passive else {}),
             **self._take_epochs(),

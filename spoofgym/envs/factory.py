@@ -22,6 +22,8 @@ from .terms.termination import AtAlarm
 
 S = TypeVar("S", bound=Setup)
 DEFAULT_VICTIM = "tightly-coupled"
+NEVER = "never"
+"""Detector of an environment that gets its own by a wrapper."""
 VICTIMS: dict[str, type[Setup]] = {
     DEFAULT_VICTIM: TightlyCoupledSetup,
     "loosely-coupled": LooselyCoupledSetup,
@@ -102,7 +104,8 @@ def compose(
     epoch: EpochSpec = False,
 ) -> None:
     """Set the detector, at a rate of false alarms, add passive detectors, end terms and fields of
-    logged epochs, of an environment not reset yet. A detector that its id brings is replaced."""
+    logged epochs, of an environment not reset yet. A detector that its id brings is replaced, and
+    so is ``"never"``."""
     inner = composable(env)
     if inner.is_started:
         raise RuntimeError("an episode has started: compose the environment before reset()")
@@ -134,9 +137,12 @@ def compose(
 
 
 def brings_detector(inner: Any) -> bool:
-    """Whether the detector of an environment is its id's, and no argument or wrapper has set it."""
+    """Whether the detector of an environment is its id's, or ``"never"``, and no argument or
+    wrapper has set another one."""
     present = inner.detector_setting
-    return present is None or not (inner.wrapped or present != _detector_of_id(inner))
+    if present is None or inner.wrapped:
+        return present is None
+    return present in (NEVER, {"name": NEVER}) or bool(present == _detector_of_id(inner))
 
 
 def _detector_of_id(inner: Any) -> Any:

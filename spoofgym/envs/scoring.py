@@ -18,7 +18,14 @@ from . import _kernels
 
 Mask = NDArray[np.bool_]
 Info = dict[str, NDArray[Any]]
-VALUE_NAMES = ("time_s", "displacement_m", "undetected_displacement_m", "cost")
+VALUE_NAMES = (
+    "time_s",
+    "displacement_m",
+    "undetected_displacement_m",
+    "cost",
+    "statistic",
+    "threshold",
+)
 """Numbers in the information of every step, in the order of the rows."""
 MARK_NAMES = ("alarm", "detected", "warmup_alarm", "coasting")
 """Flags in the information of every step, in the order of the rows."""
@@ -118,6 +125,14 @@ class StepResult:
         info.update(self.extra)
         return info
 
+    def report(self, verdict: Verdict | None) -> None:
+        """Write the statistic and the threshold of a verdict, of the channel with the largest
+        ratio."""
+        assert verdict is not None  # there is one in every epoch
+        statistic = np.ascontiguousarray(verdict.statistic)
+        threshold = np.ascontiguousarray(verdict.threshold)
+        _kernels.report_loudest(statistic, threshold, self.numbers)
+
     def unpack_with_masks(self) -> tuple[FloatArray, Mask, Mask, Info]:
         """Rewards, ends and information, with masks that every receiver has it; no `extra`."""
         layout, values, marks = self._layout, list(self.values), list(self.marks)
@@ -163,6 +178,23 @@ class StepResult:
         self.values[_kernels.REWARD] = reward
         self.values[:, over] = earlier.values[:, over]
         self.marks[:, over] = earlier.marks[:, over]
+
+
+def select_loudest(verdict: Verdict) -> tuple[FloatArray, FloatArray]:
+    """(B,) statistic and threshold of the channel whose ratio of them is largest."""
+    rows = np.arange(len(verdict.statistic))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        column = (verdict.statistic / verdict.threshold).argmax(axis=1)
+    return verdict.statistic[rows, column], verdict.threshold[rows, column]
+
+
+def report_verdict(simulator: Simulator) -> Info:
+    """(B,) ``statistic`` and ``threshold`` of the last epoch that the detector in the loop judged;
+    NaN before the first."""
+    verdict = simulator.verdict
+    nothing = np.full(simulator.receivers, np.nan)
+    both = (nothing, nothing.copy()) if verdict is None else select_loudest(verdict)
+    return dict(zip(("statistic", "threshold"), both, strict=True))
 
 
 Hold = Callable[[NDArray[np.intp]], tuple[Mask, Mask | None]]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import json
+import shlex
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -23,10 +25,10 @@ from ..spoofers import (
 )
 from ..spoofers.base import TARGET, has_heading
 from ..spoofers.build import card_behind
+from ..spoofers.learned import refuse_changes
 from .core import SpoofCore
 from .factory import VICTIMS, composable, list_parameters, make_setup
 from .observer import Observer
-from .options import action_space, observation_space
 from .terms import make_terms
 from .terms.action import ActionTerm, CommandMap, default_action
 from .terms.observation import REPORTED, default_terms
@@ -39,6 +41,14 @@ SETUPS: dict[str, type[Setup]] = {
     "spoofgym/WheeledRobot-v0": VICTIMS["wheeled-robot"],
 }
 """Kinds of victims by the environments of the spoofer's side."""
+
+
+OF_OFFSETS = ("control", "basis", "channels")
+SHAPING = (
+    *("scenario", "attack", *OF_OFFSETS, "timeline", "domain", "target_heading_deg"),
+    *("decision_interval_s", "between"),
+)
+"""Settings of a world on which it depends what a spoofer observes and how it acts."""
 
 
 def find_env_id(kind: type[Setup]) -> str:
@@ -90,16 +100,18 @@ def attach(
     context = spoofer_context(core.setup, core.receivers, core.observer, core.commands)
     card = card_behind(made)
     if card is not None:
-        found = _compare_spaces(env, core, card) + card.diff_context(context)
+        refuse_changes(env, repr(card.name))
+        found = misfits = card.diff_context(context)
         if not transfer:
             made_for = setup_of_card(card)
             with suppress(ValueError):  # without a calibration there is no such environment, either
                 resolve_thresholds(
                     made_for.detector, made_for
                 )  # which looks its thresholds up by a rate
-            found += format_card_diff(_settings(made_for), _settings(core.setup))
+            found = misfits + format_card_diff(_settings(made_for), _settings(core.setup))
         if found:
-            hint = "" if transfer else " (`transfer=True` allows for other settings alone)"
+            hint = f" ({suggest_settings(card, core.setup)})" if misfits else ""
+            hint += "" if transfer else " (`transfer=True` allows for other settings alone)"
             raise ValueError(
                 f"{card.name!r} was made for another environment{hint}:\n  " + "\n  ".join(found)
             )
@@ -207,7 +219,15 @@ def bound_spoofer(
     commands = make_command_map(spoofer, setup)
     terms = default_terms(setup, spoofer.knowledge, along_target=commands.along_target)
     observer = Observer(terms, setup)
-    return spoofer_context(setup, receivers, observer, commands), observer, commands
+    context = spoofer_context(setup, receivers, observer, commands)
+    card = card_behind(spoofer)
+    found = [] if card is None else card.diff_context(context)
+    if card is not None and found:
+        raise ValueError(
+            f"{card.name!r} does not fit this attack: {'; '.join(found)}; "
+            f"{suggest_settings(card, setup)}"
+        )
+    return context, observer, commands
 
 
 def spoofer_context(
@@ -252,6 +272,24 @@ def spoofer_context(
     )
 
 
+def suggest_settings(card: SpooferCard, setup: Setup) -> str:
+    """What to add to a world that a policy does not fit, as options of the command line."""
+    try:
+        made_for = setup_of_card(card)
+    except ValueError as error:
+        return str(error)
+    if type(made_for) is not type(setup):
+        return f"it was trained in {card.env_id}"
+    own, here = _settings(made_for), _settings(setup)
+    names = [name for name in SHAPING if own.get(name) != here.get(name)]
+    if {*names} & {*OF_OFFSETS}:  # which make the attack
+        names = [name for name in names if name != "attack" or name in card.env_kwargs]
+    usual = {name: each.default for name, each in list_parameters(type(setup)).items()}
+    given = {name: json.dumps(describe({**usual, **card.env_kwargs}[name])) for name in names}
+    options = " ".join(f"--set {name}={shlex.quote(value)}" for name, value in given.items())
+    return f"trained in another world, add {options}" if options else "trained for other actions"
+
+
 def setup_of_card(card: SpooferCard) -> Setup:
     if card.env_id not in SETUPS:
         raise ValueError(
@@ -270,18 +308,6 @@ def setup_of_card(card: SpooferCard) -> Setup:
         return make_setup(kind, card.env_kwargs)
     except (TypeError, ValueError) as error:
         raise ValueError(f"card of {card.name!r}: `env_kwargs`: {error}") from error
-
-
-def _compare_spaces(env: Any, core: SpoofCore, card: SpooferCard) -> list[str]:
-    found = []
-    for word, inner in (("observation", observation_space(core)), ("action", action_space(core))):
-        if word == "observation" and card.observation is None:
-            continue
-        single = f"single_{word}_space"
-        outer = getattr(env, single if hasattr(env, single) else f"{word}_space")
-        if outer != inner:
-            found.append(f"{word}: a wrapper changes the space from {inner} to {outer}")
-    return found
 
 
 def _settings(setup: Setup) -> dict[str, Any]:

@@ -98,6 +98,8 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     chance.  The undiscounted return is the undetected displacement less the price of an alarm.
     ``info["reward_*"]`` are the parts, ``info["undetected_displacement_m"]`` is U,
     ``info["cost"]`` c, and ``info["twin_alarm"]`` says whether the twin has alarmed.
+    ``info["statistic"]`` and ``info["threshold"]``, after a reset, too, are those of the last epoch
+    that the detector has judged, of the channel where their ratio is largest; NaN before the first.
 
     **Start.** Zero command, after the warm-up.  An alarm in the warm-up is a false alarm, and shows
     in ``info["warmup_alarm"]``; nothing is drawn again for it.

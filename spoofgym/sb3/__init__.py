@@ -15,6 +15,13 @@ side of the duel by ``side``; `ScoreCallback` scores a policy while it learns.
 Install it with the extra ``train``.
 """
 
+from ..core.extras import name_extra
+
+try:
+    import stable_baselines3  # noqa: F401
+except ImportError as error:
+    raise name_extra("spoofgym.sb3", error) from error
+
 from .callbacks import RecordEpochs, ScoreCallback
 from .vec_env import DetectorWrapper, SpoofVecEnv
 from .wrappers import AlarmRecorder, PassiveDetector

@@ -31,7 +31,7 @@ Array = NDArray[Any]
 class RecordEpochs(VecEnvWrapper):
     """Writes every epoch of the commands into Parquet files, one an episode of a receiver.
 
-    The twin of `spoofgym.envs.wrappers.RecordEpochs`, for stable-baselines3.
+    The twin of `spoofgym.wrappers.RecordEpochs`, for stable-baselines3.
 
     Parameters
     ----------

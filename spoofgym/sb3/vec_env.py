@@ -32,7 +32,7 @@ from ..envs.options import (
 )
 from ..envs.scoring import PlainResult, StepResult
 from ..envs.terms import RewardSpec, make_terms
-from ..envs.wrappers.outside import report_verdict, warn_uncalibrated
+from ..envs.wrappers.outside import warn_uncalibrated
 
 AT_THE_END = (
     "undetected_displacement_m",
@@ -305,7 +305,7 @@ SpoofVecEnv.__signature__ = expand_signature(SpoofVecEnv)
 
 
 class DetectorWrapper(VecEnvWrapper):
-    """Sets the detector in the loop, as `spoofgym.envs.wrappers.DetectorWrapper` does.
+    """Sets the detector in the loop, as `spoofgym.wrappers.DetectorWrapper` does.
 
     Parameters
     ----------
@@ -332,10 +332,5 @@ class DetectorWrapper(VecEnvWrapper):
         return self.venv.reset()
 
     def step_wait(self) -> Any:
-        """Run one epoch; with ``infos="all"`` they have ``statistic`` and ``threshold``."""
-        result = self.venv.step_wait()
-        if getattr(self.unwrapped, "_keys", None) is None:
-            verdict = report_verdict(self)
-            for row, info in enumerate(result[3]):
-                info |= select_receiver_info(verdict, row)
-        return result
+        """Run one epoch."""
+        return self.venv.step_wait()

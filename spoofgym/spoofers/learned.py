@@ -245,6 +245,12 @@ def _of_module(torch: Any, module: Any) -> Function:
     return act
 
 
+LIBRARIES = ("gymnasium", "stable_baselines3", "sb3_contrib", "spoofgym")
+"""Packages whose wrappers are known."""
+CHANGES = ("observation", "action")
+"""What a wrapper may change of a policy."""
+
+
 def inner_env(env: Any) -> Any:
     """Environment with a core inside all wrappers; None without one. Of several that run in
     this process side by side it is the first one."""
@@ -254,13 +260,88 @@ def inner_env(env: Any) -> Any:
     return env
 
 
+def list_wrappers(env: Any) -> list[Any]:
+    """Wrappers around an environment with a core, the outermost first; of several environments that
+    run in this process side by side those of the first."""
+    found = []
+    while env is not None and "core" not in vars(env):
+        own = vars(env)
+        below = [own[name] for name in ("venv", "env") if own.get(name) is not None]
+        found.append(env)
+        env = (below or own.get("envs") or [None])[0]
+    return found
+
+
+def name_own_wrappers(env: Any) -> list[str]:
+    """``"module:Class"`` of the wrappers of an environment that are the user's own."""
+    kinds = [type(each) for each in list_wrappers(env)]
+    return [
+        f"{kind.__module__}:{kind.__qualname__}"
+        for kind in kinds
+        if kind.__module__.partition(".")[0] not in LIBRARIES
+    ]
+
+
+def refuse_changes(env: Any, whose: str, *, normalized: bool = False) -> None:
+    """Raise where a wrapper changes what a policy observes or how it acts, since it plays without.
+    `normalized`: whether a `VecNormalize` goes with the policy."""
+    for each in list_wrappers(env):
+        kind, own = type(each), vars(each)
+        changed = [
+            word for word in CHANGES if _changes(each, own.get("venv", own.get("env")), word)
+        ]
+        if getattr(each, "norm_obs", False) and kind.__name__ == "VecNormalize" and not normalized:
+            changed.append("observation")
+        if changed:
+            raise ValueError(
+                f"the wrapper {kind.__module__}:{kind.__qualname__} changes every {changed[0]}, "
+                f"and {whose} is played without it: leave it out"
+            )
+
+
+def _changes(wrapper: Any, below: Any, word: str) -> bool:
+    """Whether a wrapper has Gymnasium's method that changes an observation or an action, or another
+    space of them than what is below."""
+    if any(callable(getattr(type(wrapper), name, None)) for name in (word, f"{word}s")):
+        return True
+    single = f"single_{word}_space"
+    name = single if hasattr(below, single) else f"{word}_space"
+    return below is not None and getattr(wrapper, name, None) != getattr(below, name, None)
+
+
+def warn_of_statistics(model: Any) -> None:
+    """Warn of a model that has learned behind a `VecNormalize` whose statistics it does not have.
+
+    Stable-baselines3 saves neither; what is left is the last observation as it was before.
+    """
+    envs = model.get_vec_normalize_env() if hasattr(model, "get_vec_normalize_env") else None
+    if envs is None:
+        now, before = (getattr(model, f"_last_{name}", None) for name in ("obs", "original_obs"))
+        missing = before is not None and not (now is not None and np.array_equal(now, before))
+    else:
+        learned = getattr(model, "num_timesteps", 0) > 0
+        missing = learned and bool(envs.norm_obs) and envs.obs_rms.count < 1.0
+    if missing:
+        warnings.warn(
+            f"this {type(model).__name__} has learned behind a VecNormalize, whose statistics are "
+            "not given, so that it observes otherwise than it has learned: save them by "
+            "`VecNormalize.save`, and load it with env=VecNormalize.load(FILE, envs)",
+            UserWarning,
+            stacklevel=5,
+        )
+
+
 def read_training_env(model: Any) -> Mapping[str, Any]:
     """Arguments of `ModelPolicy` by a model's own environment; warns of a model of
-    stable-baselines3 whose environment can't be read."""
+    stable-baselines3 whose environment can't be read, or without its `VecNormalize`."""
     if not hasattr(model, "get_env"):
         return {}
-    found = describe_env(model.get_env())
-    if not found:
+    env = model.get_env()
+    found = describe_env(env)
+    if found:
+        refuse_changes(env, f"this {type(model).__name__}", normalized=True)
+        warn_of_statistics(model)
+    else:
         warnings.warn(
             f"this {type(model).__name__} has no environment that can be read, so that it is "
             "played without normalization, by the attack's own actions and at every decision of "

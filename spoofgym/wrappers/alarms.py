@@ -80,7 +80,7 @@ class AlarmLog:
 
     def start(self, row: int, info: dict[str, Any]) -> None:
         """Begin an episode, by the information of a reset."""
-        early = bool(info.get("alarm", False)) or bool(info["warmup_alarm"])
+        early = ("alarm" in info and _read_alarm(info)) or bool(info["warmup_alarm"])
         self._begun[row] = float(info["time_s"]), early
         self._moved[row], self._onset[row], self._alarm[row] = [], math.nan, math.nan
 
@@ -90,7 +90,7 @@ class AlarmLog:
         if math.isnan(self._onset[row]) and np.any(np.asarray(action) != 0.0):
             self._onset[row] = self._begun[row][0] + len(moved) * self._repeat * self._interval_s
         moved.append(float(info["displacement_m"]))
-        if math.isnan(self._alarm[row]) and bool(info["alarm"]):
+        if _read_alarm(info) and math.isnan(self._alarm[row]):
             time_s = float(info.get("alarm_time_s", math.nan))
             self._alarm[row] = float(info["time_s"]) if math.isnan(time_s) else time_s
         if over:
@@ -131,6 +131,14 @@ class AlarmLog:
                 valid[:, 3], draw_resamples(np.arange(len(valid)))
             ),
         )
+
+
+def _read_alarm(info: dict[str, Any]) -> bool:
+    alarm = info.get("alarm")
+    if not isinstance(alarm, bool | np.bool_):
+        found = repr(alarm) if "alarm" in info else "none"
+        raise ValueError(f"info['alarm'] must be boolean, True at an alarm; got {found}")
+    return bool(alarm)
 
 
 class AlarmRecorder(

@@ -134,8 +134,12 @@ def processes(cache, *commands, **variables):
     return [(printed.splitlines(), said.splitlines()) for (printed, said), _ in done]
 
 
+NOTICE = compiling.NOTICE.format("spoofgym.earth (gravity)")
+
+
 def test_compiling_is_said_once_on_stderr_and_loading_is_not(tmp_path):
-    for expected in ([compiling.NOTICE], []):
+    assert "`spoofgym warmup`" in NOTICE
+    for expected in ([NOTICE], []):
         ((_, said),) = processes(tmp_path, (NOTICED,))
         assert said == ["compiled one of the user's", *expected]
 
@@ -155,7 +159,7 @@ def test_compiling_is_said_when_it_has_taken_two_seconds_in_all(monkeypatch, cap
     notice.on_start(event.Event("numba:compile", event.EventStatus.START, ours))
     clock += 0.3
     notice.on_start(event.Event("numba:compile", event.EventStatus.START, theirs))  # called by it
-    assert capsys.readouterr().err == f"{compiling.NOTICE}\n"
+    assert capsys.readouterr().err == f"{NOTICE}\n"
     notice.on_end(event.Event("numba:compile", event.EventStatus.END, theirs))
     assert capsys.readouterr().err == ""
 

@@ -132,7 +132,7 @@ def test_other_scales_and_what_is_no_environment_of_ours_are_refused(policy):
     rescale = gym.wrappers.RescaleObservation, gym.wrappers.RescaleAction
     for wrapper, word in zip(rescale, ("observation", "action"), strict=True):
         env = wrapper(single(), np.float32(0.0), np.float32(1.0))
-        with pytest.raises(ValueError, match=f"{word}: a wrapper changes the space from Box"):
+        with pytest.raises(ValueError, match=f"{wrapper.__name__} changes every {word}, and 't"):
             attach(policy, env, transfer=True)
     for env in (3, gym.make_vec(ID, 1, vectorization_mode="sync", **ENV)):
         with pytest.raises(TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or"):

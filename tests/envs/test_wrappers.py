@@ -35,6 +35,9 @@ from .support import (
 parquet = pytest.importorskip("pyarrow.parquet")
 
 
+NAMES = ("statistic", "threshold")
+
+
 def transitions(env, steps=36, seed=4):
     rng = np.random.default_rng(1)
     shape = env.unwrapped.action_space.shape
@@ -72,8 +75,7 @@ def test_a_wrapper_is_the_same_as_its_argument(make, module):
     assert wrapped.observation_space == given.observation_space
     mine, theirs = transitions(wrapped), transitions(given)
     assert_same(mine[0], theirs[0])
-    added = set(mine[1][0]) - set(theirs[1][0])
-    assert {name.lstrip("_") for name in added} == {"statistic", "threshold"}
+    assert set(mine[1][0]) == set(theirs[1][0])
     with pytest.raises(RuntimeError, match="before reset"):
         module.WatchWrapper(wrapped, ["cusum"])
     with pytest.raises(ValueError, match="'ewma' and 'cusum'"):
@@ -84,6 +86,51 @@ def test_a_wrapper_is_the_same_as_its_argument(make, module):
         env.reset(seed=1)
         ends = [env.step(np.zeros(env.action_space.shape))[2] for _ in range(3)]
         assert [np.all(end) for end in ends] == [False, False, end_at_alarm]
+    wrapped = module.DetectorWrapper(make(detector="never"), "cusum")  # which is as none
+    with pytest.raises(ValueError, match="'cusum' and 'never'"):
+        module.DetectorWrapper(wrapped, "never")
+
+
+ONES = {
+    "DetectorWrapper": ("cusum",),
+    "EpochInfo": (),
+    "PassiveDetector": ("cusum",),
+    "RecordEpochs": ("unused",),
+    "StealthBudget": (3.0,),
+    "WatchWrapper": ("cusum",),
+}
+
+
+@pytest.mark.parametrize("name", ONES)
+def test_a_wrapper_of_another_form_names_its_twin(name):
+    forms = {"wrappers": single(), "wrappers.vector": vector(2)}
+    for module, env in ((wrappers, "wrappers.vector"), (vector_wrappers, "wrappers")):
+        with pytest.raises(TypeError, match=rf"`spoofgym\.{env}\.{name}`$"):
+            getattr(module, name)(forms[env], *ONES[name])
+    with pytest.raises(TypeError, match=r"a vector environment of Gymnasium, got 3$"):
+        getattr(vector_wrappers, name)(3, *ONES[name])
+
+
+@pytest.mark.parametrize("kind", ["TightlyCoupled", "WheeledRobot"])
+def test_statistic_and_threshold_of_the_loudest_channel_are_in_the_information(kind):
+    env, envs = victim(kind), victims(kind, 2)
+    infos = [env.reset(seed=5)[1]], [envs.reset(seed=5)[1]]
+    for _ in range(5):
+        verdict = envs.core.engine.simulator.verdict
+        ratio = (verdict.statistic / verdict.threshold).max(axis=1)
+        now = [each[-1] for each in infos]
+        np.testing.assert_array_equal(now[1]["statistic"] / now[1]["threshold"], ratio)
+        assert [now[0][key] for key in NAMES] == [now[1][key][0] for key in NAMES]
+        push = np.full(env.action_space.shape, 0.02)  # no alarm ends the episode
+        for each, one, given in zip(infos, (env, envs), (push, np.stack([push] * 2)), strict=True):
+            each.append(one.step(given)[4])
+    assert len({info["statistic"] for info in infos[0]}) > 1
+
+
+def test_before_anything_is_judged_there_is_no_statistic():
+    timeline = {**SHORT, "live_s": 0.0}
+    info = single(timeline=timeline).reset(seed=0)[1]
+    assert all(np.isnan(info[key]) for key in NAMES)
 
 
 def test_the_spec_of_a_wrapped_environment_makes_it_again():

@@ -228,6 +228,10 @@ def test_alarms_are_recorded_over_episodes():
         envs.step([[0.0], [1.0]])
     both = envs.alarms.summarize()
     assert (both.clean, both.attacked, both.delay_s.value) == (2, 2, 5.0)
+    wrong = AlarmRecorder(Wrong(bare(), alarm=1))
+    wrong.reset(seed=0)
+    with pytest.raises(ValueError, match=r"'alarm'. must be boolean, True at an alarm; got 1"):
+        wrong.step([0.0])
 
 
 def test_the_displacement_of_a_recorder_is_that_of_the_environment():

@@ -222,7 +222,8 @@ class Window:
             raise RuntimeError(
                 "render_mode='human' needs a display, and matplotlib's backend "
                 f"{matplotlib.get_backend()!r} has no window: use render_mode='rgb_array', or set "
-                "MPLBACKEND to a backend with windows, such as TkAgg or QtAgg"
+                "MPLBACKEND to a backend with windows, such as TkAgg or QtAgg; Gymnasium's "
+                "check_env needs none with skip_render_check=True"
             )
         manager = self._figure.canvas.manager
         if manager is not None:

@@ -1,5 +1,7 @@
 """Wrappers of the single environment; `vector` has their twins of the same names.
 
+Users find them in `spoofgym.wrappers`.
+
 `DetectorWrapper`, `WatchWrapper`, `StealthBudget` and `EpochInfo` only set something in the engine
 before the first episode: nothing outside could sit between the halves of an epoch.  So each is the
 same as an argument of the environment.  A detector that only looks may be outside:
@@ -31,7 +33,7 @@ from ...detectors.build import DetectorSpec
 from ..core import EpochSpec, SpoofCore, WatchSpec
 from ..factory import composable, compose
 from ..terms.termination import AtStealthBudget, EpochState
-from .outside import OutsideDetector, report_verdict, warn_uncalibrated
+from .outside import OutsideDetector, warn_uncalibrated
 
 Observation = NDArray[np.float32]
 Env = gym.Env[Observation, Observation]
@@ -139,20 +141,24 @@ def _as_parquet(columns: dict[str, list[Array]], head: dict[str, Any]) -> bytes:
 def require_single(env: Any, wrapper: type) -> None:
     """Name the twin of a wrapper where the environment is a vector of receivers."""
     if not isinstance(env, gym.Env):
-        kind = "wrappers.vector" if isinstance(env, gym.vector.VectorEnv) else "sb3"
-        raise TypeError(
-            f"`env` must be a single environment, got {env!r}; its twin for that is "
-            f"`spoofgym.{kind}.{wrapper.__name__}`"
-        )
+        raise TypeError(f"`env` must be a single environment, got {env!r}{name_twin(env, wrapper)}")
+
+
+def name_twin(env: Any, wrapper: type) -> str:
+    """Where the wrapper of the same name for another form of environment is, for messages."""
+    forms = {"wrappers": gym.Env, "wrappers.vector": gym.vector.VectorEnv}
+    found = [form for form, kind in forms.items() if isinstance(env, kind)]
+    if hasattr(env, "step_async") and not found:
+        found = ["sb3"]
+    return f"; its twin for that is `spoofgym.{found[0]}.{wrapper.__name__}`" if found else ""
 
 
 class DetectorWrapper(_Base, RecordConstructorArgs):
     """Sets the detector in the loop, as the argument ``detector=`` does.
 
     It takes the place of the detector that the environment's id brings.  `wrappers.vector` has the
-    same for vector environments, `spoofgym.sb3` for that of stable-baselines3.  The information
-    has ``statistic`` and ``threshold`` of the last epoch, of the channel whose ratio is largest.
-    An object that plays with its own thresholds is warned of (`UncalibratedWarning`).
+    same for vector environments, `spoofgym.sb3` for that of stable-baselines3.  An
+    object that plays with its own thresholds is warned of (`UncalibratedWarning`).
 
     Parameters
     ----------
@@ -168,8 +174,8 @@ class DetectorWrapper(_Base, RecordConstructorArgs):
     ------
     ValueError
         When the detector can't judge this victim; when there is no calibration for this rate in
-        this world, with the command that makes one; or when a detector was set before, by an
-        argument or another wrapper.
+        this world, with the command that makes one; or when a detector other than
+        ``"never"`` was set before, by an argument or another wrapper.
     RuntimeError
         When an episode has started.
 
@@ -177,7 +183,7 @@ class DetectorWrapper(_Base, RecordConstructorArgs):
     --------
     >>> import gymnasium as gym
     >>> import spoofgym
-    >>> from spoofgym.envs.wrappers import DetectorWrapper
+    >>> from spoofgym.wrappers import DetectorWrapper
     >>> env = DetectorWrapper(gym.make("spoofgym/TightlyCoupled-v0"), "snapshot-chi2")
     >>> type(env.unwrapped.core.setup.detector).__name__
     'SnapshotChi2'
@@ -195,19 +201,6 @@ class DetectorWrapper(_Base, RecordConstructorArgs):
         compose(env, detector=detector, false_alarms_per_hour=false_alarms_per_hour)
         setup = composable(env).core.setup
         warn_uncalibrated(detector, setup.detector, false_alarms_per_hour, setup)
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode; the verdict is that of the last epoch before the onset."""
-        observation, info = super().reset(seed=seed, options=options)
-        return observation, {**info, **first_values(report_verdict(self))}
-
-    def step(self, action: Observation) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
-        """Give one command, and report the verdict of the last epoch."""
-        result = super().step(action)
-        result[4].update(first_values(report_verdict(self)))
-        return result
 
 
 def first_values(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
@@ -318,6 +311,7 @@ class WatchWrapper(_Base, RecordConstructorArgs):
 
     def __init__(self, env: Env, watch: WatchSpec) -> None:
         RecordConstructorArgs.__init__(self, watch=watch)
+        require_single(env, WatchWrapper)
         gym.Wrapper.__init__(self, env)
         compose(env, watch=watch)
 
@@ -335,6 +329,7 @@ class StealthBudget(_Base, RecordConstructorArgs):
 
     def __init__(self, env: Env, budget_nats: float) -> None:
         RecordConstructorArgs.__init__(self, budget_nats=budget_nats)
+        require_single(env, StealthBudget)
         gym.Wrapper.__init__(self, env)
         compose(env, end=AtStealthBudget(budget_nats))
 
@@ -352,6 +347,7 @@ class RecordEpochs(_Base, RecordConstructorArgs):
 
     def __init__(self, env: Env, folder: str | Path) -> None:
         RecordConstructorArgs.__init__(self, folder=str(folder))
+        require_single(env, RecordEpochs)
         gym.Wrapper.__init__(self, env)
         self.recorder = EpochRecorder(folder, 1)
         composable(env).core.listeners.append(self.recorder)

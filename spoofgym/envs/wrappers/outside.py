@@ -8,18 +8,16 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...detectors import Calibrated, Detector, Verdict, detector_in_world
 from ...detectors.base import judge_epoch
 from ...detectors.build import DetectorSpec
 from ...detectors.calibrated import STANDARD_RATE, UncalibratedWarning, calibration_command
 from ...receiver.epoch import Epoch, stack_receivers
-from ...simulation.domain import FloatArray
 from ...simulation.simulator import weighs
 from ..core import SETTLING
 from ..factory import brings_detector, composable, compose
-from ..scoring import Info, Mask
+from ..scoring import Info, Mask, select_loudest
 
 
 class OutsideDetector:
@@ -98,22 +96,6 @@ class OutsideDetector:
             work(batch)
             if len(idle):
                 self.detector.memory.copy_rows(idle, self._idle.memory, idle)
-
-
-def select_loudest(verdict: Verdict) -> tuple[FloatArray, FloatArray]:
-    """(B,) statistic and threshold of the channel whose ratio of them is largest."""
-    rows = np.arange(len(verdict.statistic))
-    column = (verdict.statistic / verdict.threshold).argmax(axis=1)
-    return verdict.statistic[rows, column], verdict.threshold[rows, column]
-
-
-def report_verdict(env: Any) -> dict[str, NDArray[Any]]:
-    """(B,) ``statistic`` and ``threshold`` of the last epoch that the detector in the loop judged;
-    nothing before the first."""
-    verdict = composable(env).core.engine.simulator.verdict
-    if verdict is None:
-        return {}
-    return dict(zip(("statistic", "threshold"), select_loudest(verdict), strict=True))
 
 
 def warn_uncalibrated(spec: Any, made: Detector, rate: float | None, setup: Any) -> None:

@@ -18,14 +18,24 @@ from ..core import EpochSpec, WatchSpec
 from ..factory import composable, compose
 from ..options import Array, read_mask
 from ..terms.termination import AtStealthBudget
-from . import EpochRecorder
-from .outside import OutsideDetector, report_verdict, warn_uncalibrated
+from . import EpochRecorder, name_twin
+from .outside import OutsideDetector, warn_uncalibrated
 
 Envs = VectorEnv[Array, Array, Array]
 if TYPE_CHECKING:
-    Wrapper = VectorWrapper[Array, Array, Array]
+    _Base = VectorWrapper[Array, Array, Array]
 else:
-    Wrapper = VectorWrapper  # not generic before Gymnasium 1.4
+    _Base = VectorWrapper  # not generic before Gymnasium 1.4
+
+
+class Wrapper(_Base):
+    """A wrapper of a vector environment, which names its twin for any other."""
+
+    def __init__(self, env: Envs) -> None:
+        if not isinstance(env, VectorEnv):
+            twin = name_twin(env, type(self))
+            raise TypeError(f"`env` must be a vector environment of Gymnasium, got {env!r}{twin}")
+        super().__init__(env)
 
 
 def add_to_info(info: dict[str, Any], arrays: dict[str, Array]) -> None:
@@ -44,8 +54,7 @@ def require_separate_resets(inner: Any, wrapper: type) -> None:
 
 
 class DetectorWrapper(Wrapper):
-    """As `wrappers.DetectorWrapper`, of all receivers. The verdicts are in the information where
-    the environment hands out all of it."""
+    """As `wrappers.DetectorWrapper`, of all receivers."""
 
     def __init__(
         self, env: Envs, detector: DetectorSpec, *, false_alarms_per_hour: float | None = None
@@ -54,24 +63,6 @@ class DetectorWrapper(Wrapper):
         compose(env, detector=detector, false_alarms_per_hour=false_alarms_per_hour)
         setup = composable(env).core.setup
         warn_uncalibrated(detector, setup.detector, false_alarms_per_hour, setup)
-        self._reports = composable(env).infos == "all"
-
-    def reset(
-        self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
-        options: dict[str, Any] | None = None,
-    ) -> tuple[Array, dict[str, Any]]:
-        observation, info = super().reset(seed=seed, options=options)  # type: ignore[arg-type]
-        if self._reports:
-            add_to_info(info, report_verdict(self))
-        return observation, info
-
-    def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        result = super().step(actions)
-        if self._reports:
-            add_to_info(result[4], report_verdict(self))
-        return result
 
 
 class EpochInfo(Wrapper):

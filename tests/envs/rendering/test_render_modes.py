@@ -86,9 +86,12 @@ def test_the_window_follows_every_step():
 
 def test_without_a_display_it_says_what_to_do():
     matplotlib.use("agg")
-    message = "render_mode='human' needs a display.*use render_mode='rgb_array', or set MPLBACKEND"
+    message = "'human' needs a display.*use render_mode='rgb_array', or set MPLBACKEND.*skip_render"
     with pytest.raises(RuntimeError, match=message):
         make("spoofgym/Snapshot-v0", mode="human").reset(seed=0)
+    with pytest.raises(RuntimeError, match=message):
+        check_env(make("spoofgym/Snapshot-v0").unwrapped)
+    check_env(make("spoofgym/Snapshot-v0").unwrapped, skip_render_check=True)
 
 
 def test_wrong_uses_are_told():

@@ -1,0 +1,117 @@
+"""From an environment to a score, the benchmark, the duel, a file and back: each works, or says in
+one line what to add, and then works."""
+
+import json
+import re
+import shlex
+from functools import partial
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+# ruff: noqa: E402 - torch may be missing
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnxscript")
+
+import spoofgym
+from spoofgym import duel_v0
+from spoofgym.envs import attach
+from spoofgym.export import onnx
+
+from .command_line import call, refused
+from .envs.support import SHORT
+
+IDS = [
+    "TightlyCoupled-v0",
+    "Offsets-v0",
+    "RandomStart-v0",
+    pytest.param("BenchS1-v2", marks=pytest.mark.nightly),
+]
+FEW = {"runs": 2, "fit_runs": 59, "amplitude": 1.0, "detector": "never"}
+BENCH = ["--detector", "never", "--seeds", 2, "--training-seeds", 59, "--selection-seeds", 0]
+
+
+def told(message):
+    """Settings that a message says to add: as text, and by name."""
+    assert "\n" not in message
+    words = shlex.split(re.sub(r"\)? ?(\(`transfer.*)?$", "", message.partition("add ")[2]))
+    assert words[::2] == ["--set"] * (len(words) // 2)
+    pairs = [word.partition("=") for word in words[1::2]]
+    return words, {name: json.loads(value) for name, _, value in pairs}
+
+
+def world(settings):
+    """Settings as `evaluate` takes them."""
+    further = {name: settings[name] for name in settings if name in ("control", "basis")}
+    own = {name: value for name, value in settings.items() if name not in further}
+    return {**own, "settings": further}
+
+
+@pytest.fixture(scope="module", params=IDS)
+def policy(request, tmp_path_factory):
+    """An untrained policy of an environment, as a file with its card."""
+    env = gym.make(f"spoofgym/{request.param}")
+    torch.manual_seed(0)
+    net = torch.nn.Linear(env.observation_space.shape[0], env.action_space.shape[0])
+    path = tmp_path_factory.mktemp("policies") / "mine.onnx"
+    assert onnx(net, env, path).env_id == "spoofgym/TightlyCoupled-v0"
+    return env, str(path)
+
+
+def test_a_file_comes_back_to_its_environment(policy):
+    env, path = policy
+    observation = env.reset(seed=0)[0]
+    action = attach(path, env).act(observation[None])[0]
+    assert np.isfinite(env.step(action)[1])
+    other = gym.make("spoofgym/TightlyCoupled-v0", attack="per-channel")
+    with pytest.raises(ValueError, match="trained in another world, add --set "):
+        attach(path, other, transfer=True)
+
+
+def test_a_score_says_what_to_add(policy):
+    _, path = policy
+    tilted = {"attack": {"name": "false-position", "axes": "n"}}
+    with pytest.raises(ValueError, match="does not fit this attack") as caught:
+        spoofgym.evaluate(path, **FEW, **tilted)
+    settings = told(str(caught.value))[1]
+    assert spoofgym.evaluate(path, **FEW, **world(settings)).runs == 2
+
+
+def test_the_benchmark_says_what_to_add(policy, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    added = told(refused("bench", *BENCH, "--spoofer", policy[1]))[1]
+    kwargs = policy[0].unwrapped.spec.kwargs
+    assert {"domain": kwargs.get("domain")}.items() <= added.items()  # the benchmark's is drawn
+
+
+@pytest.mark.nightly
+def test_the_benchmark_plays_with_what_it_says_to_add(policy, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    command = ["bench", *BENCH, "--spoofer", policy[1]]
+    result = call(*command, *told(refused(*command))[0])
+    assert result.exit_code == 0, result.output
+
+
+def test_a_duel_says_what_to_add(policy):
+    make = partial(duel_v0.DetectorView, policy[1])
+    with pytest.raises(ValueError, match="does not fit this attack") as caught:
+        make()
+    env = make(**told(str(caught.value))[1])
+    assert np.isfinite(env.reset(seed=0)[0]).all()
+
+
+def test_an_own_detector_travels_by_its_module_and_class(tmp_path):
+    """In an environment, on a card, in a score, in the duel."""
+    own = {"name": "tests.envs.support:AlarmAt", "epoch": 10_000, "thresholds": "nominal"}
+    world, path = {"timeline": SHORT}, tmp_path / "mine.onnx"
+    env = gym.make("spoofgym/TightlyCoupled-v0", detector=own, knowledge="blind", **world)
+    net = torch.nn.Linear(env.observation_space.shape[0], 1)
+    card = onnx(net, env, path)
+    assert card.env_kwargs["detector"] == own
+    attach(str(path), env)
+    score = spoofgym.evaluate(str(path), **{**FEW, "detector": own}, **world)
+    assert "against AlarmAt(epoch=10000)" in str(score)
+    view = duel_v0.SpooferView([own], scenario="zhong2025", **world)
+    view.reset(seed=0)
+    assert "tests.envs.support:AlarmAt" in view.unwrapped.opponent
