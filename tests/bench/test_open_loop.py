@@ -83,6 +83,7 @@ def test_the_search_finds_the_curve_that_most_often_gets_to_the_alert_limit(limi
     player = Quadratic()
     found = HazardOptimizer(player, limit_m, OpenLoopSearch(generations=40)).search()
     hazard = lambda length: special.ndtr(-math.log(length) / 0.2)  # noqa: E731
+    limit_m *= open_loop.BEYOND
     best = hazard(limit_m / player.best(0.5))
     ramp = hazard(player.length(np.full(player.steps, limit_m)))
     stated = special.ndtr(found.displacement_m)

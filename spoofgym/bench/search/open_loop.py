@@ -11,7 +11,7 @@ largest ratio of statistic to threshold comes to 1 is interpolated between two t
 score is the displacement at the quantile of these, by a line through the smaller ones against
 normal scores, which a single run moves less than the quantile itself.
 
-Another aim is P(HMI): every candidate is scored at the amplitude that takes it to the alert limit,
+Another aim is P(HMI): every candidate is scored at the amplitude that takes it over the alert limit
 by the share of the runs in which it raises no alarm.
 
 In a campaign passive detectors share one response replay.  A curve found by replay is played on the
@@ -62,6 +62,7 @@ SPREAD = 0.15
 LOWER_PART = 0.3  # part of the runs above the share; their amplitudes decide on the quantile, too
 SATURATION = 0.95
 """Part of the farthest reach of the attack from which on a search is over before it begins."""
+BEYOND = 1.03  # mean displacement over the alert limit, so that nearly all runs get beyond it
 NEVER_SEEN = 5.0  # margin, in standard deviations, from which on there is nothing to gain
 WIDEST, SLOWEST_GROWTH = 4.0, 0.25
 """Factor that a candidate may need to get to the alert limit, and the smallest power of the
@@ -278,7 +279,7 @@ class HazardOptimizer(OpenLoopOptimizer):
 
     def __init__(self, backend: Backend, limit_m: float, settings: OpenLoopSearch) -> None:
         super().__init__(backend, 0.5, settings)
-        self.limit_m = limit_m
+        self.limit_m = BEYOND * limit_m
 
     def _try_fastest(self, knots: int) -> OpenLoopAttack | None:
         found = super()._try_fastest(knots)
