@@ -142,8 +142,9 @@ def rotate_flight(flight: Flight, angle: float) -> Flight:
 
 
 class Course(NamedTuple):
-    """What the turned trajectories of a flight at one rate have in common. `time` (M+1,) and `C_eb`
-    (M+1, 3, 3) of every `thinning`-th state; `velocity_e` (N+1, 3) of all, `step` apart; `start_e`."""
+    """What the turned trajectories of a flight have in common. `time` (M+1,) and `C_eb`
+    (M+1, 3, 3) of every `thinning`-th state; `velocity_e` (N+1, 3) of all, `step` apart; and
+    `start_e`."""
 
     name: str
     thinning: int
