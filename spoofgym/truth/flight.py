@@ -142,11 +142,12 @@ def rotate_flight(flight: Flight, angle: float) -> Flight:
 
 
 class Course(NamedTuple):
-    """What the turned trajectories of a flight at one rate have in common. `time` (M+1,) and `C_eb`
-    (M+1, 3, 3) of every `count`-th state; `velocity_e` (N+1, 3) of all, `step` apart; `start_e`."""
+    """What the turned trajectories of a flight have in common. `time` (M+1,) and `C_eb`
+    (M+1, 3, 3) of every `thinning`-th state; `velocity_e` (N+1, 3) of all, `step` apart; and
+    `start_e`."""
 
     name: str
-    count: int
+    thinning: int
     step: float
     time: NDArray[np.float64]
     start_e: NDArray[np.float64]
@@ -169,8 +170,8 @@ class Course(NamedTuple):
         velocity_e = self.velocity_e
         if angle != 0.0:
             velocity_e = velocity_e @ self.get_turn(angle).T
-        velocity_e = velocity_e[:: self.count]
-        return integrate_velocity(self.start_e, velocity_e, self.count * self.step), velocity_e
+        velocity_e = velocity_e[:: self.thinning]
+        return integrate_velocity(self.start_e, velocity_e, self.thinning * self.step), velocity_e
 
     def fly(self, angle: float) -> Flight:
         C_eb = self.C_eb if angle == 0.0 else self.get_turn(angle) @ self.C_eb

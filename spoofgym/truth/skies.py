@@ -31,6 +31,7 @@ from .satellites import Constellation
 
 MOTION = ("position_e", "velocity_e", "C_eb", "C_en")
 AT_EPOCHS = ("epoch_time", "epoch_end", "satellites", "visible", *MOTION)
+KNOWN = ("name", "satellite_ids", "imu_time", "epoch_time", "epoch_end", "decimation")
 STRIDE = 8  # epochs between two looks at satellites that are far from the mask
 MARGIN = 2.0  # by which a line of sight may turn faster between two looks than at them
 _lock = threading.RLock()
@@ -219,13 +220,11 @@ class _Laid(GroundTruth):
             self._tables[key][rows] = compute(part)
 
     def take(self, w: int) -> GroundTruth:
-        views = {name: getattr(self, name)[self._rows(w)] for name in AT_EPOCHS}
+        views: dict[str, Any] = {name: getattr(self, name)[self._rows(w)] for name in AT_EPOCHS}
         first, samples = int(views["epoch_end"][0]), len(self.imu_time) - 1
         views["epoch_end"] = views["epoch_end"] - first
-        alone = {"name": self.name, "satellite_ids": self.satellite_ids}
-        run = self.run[:, first : first + samples]
-        kept = {"imu_time": self.imu_time, "run": run, "decimation": self.decimation}
-        return GroundTruth(**alone, **kept, **views)
+        views |= {name: getattr(self, name) for name in KNOWN if name not in AT_EPOCHS}
+        return GroundTruth(**views, run=self.run[:, first : first + samples])
 
     def tabulate(
         self, key: Any, shape: tuple[int, ...], compute: Callable[[GroundTruth], FloatArray]
@@ -248,6 +247,9 @@ class Skies(GroundTruth):
     `headings`: of the flight; `places`: direction [rad] and satellites of each world; `rules`: as
     of `build_world`; `facts`: of the worlds, where they are known already.
     """
+
+    _laid: _Laid
+    _facts: Sequence[SkyFacts]
 
     def __init__(
         self,
@@ -314,9 +316,6 @@ class Skies(GroundTruth):
     ) -> FloatArray:
         self.build(range(self.worlds))
         return self._laid.tabulate(key, shape, compute)
-
-
-KNOWN = ("name", "satellite_ids", "imu_time", "epoch_time", "epoch_end", "decimation")
 
 
 def _lay(recipe: _Recipe, facts: Sequence[SkyFacts]) -> _Laid:
