@@ -42,6 +42,7 @@ from spoofgym.bench.search.open_loop import PLAIN, SHAPES, SPLIT, OpenLoopSearch
 from spoofgym.cli.app import print_json, progress
 from spoofgym.simulation.setup import seed_sequences
 from spoofgym.simulation.simulator import weighs
+from spoofgym.simulation.tight import TightlyCoupledSetup
 
 from .pages import DOCS, marks, put_between
 from .scored import get_sizes, make_parser
@@ -67,7 +68,7 @@ HEAD = (
 
 
 def make_judge(detector: Mapping[str, Any], captured: str, **sizes: Any) -> Evaluator:
-    attack = {"name": "offsets", "basis": "rotated", "scales_mps": [RATE_MPS] * 3}
+    attack: dict[str, Any] = {"name": "offsets", "basis": "rotated", "scales_mps": [RATE_MPS] * 3}
     attack |= {"channels": captured, "rate_limit_mps": RATE_MPS}
     return Evaluator(detector=detector, scenario=WORLD, attack=attack, rule=EXACT, **sizes)
 
@@ -75,6 +76,7 @@ def make_judge(detector: Mapping[str, Any], captured: str, **sizes: Any) -> Eval
 def search(judge: Evaluator, captured: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """Rates (a, Q) [m/s] of the attacks that are played, and what the searches say of theirs."""
     setup, detector = judge.world.setup, judge.world.judge(judge.detector)
+    assert isinstance(setup, TightlyCoupledSetup)  # as in the papers' world
     if weighs(setup, detector):
         passive = {**judge.detector.spec, "weight_scale": None, "thresholds": "nominal"}
         passive.pop("false_alarms_per_hour", None)

@@ -48,7 +48,7 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
 }
 """Settings of the attack, and the logarithm of the first spread of the actions."""
 RIVAL = "ramp"
-MINUTES = 6.0  # of a core that 300,000 decisions and their score take, roughly
+MINUTES = 2.0  # of a core that 300,000 decisions and their score take, roughly
 HEAD = ("case", "exact ramp [m]", "PPO, median and range [m]", "over the ramp, median seed",
         "as trained: [m]", "alarms [%]")  # fmt: skip
 
@@ -71,8 +71,8 @@ class Settings:
 
 
 def make_judge(settings: Settings, attack: dict[str, Any]) -> Evaluator:
-    sizes = {"runs": settings.runs, "fit_runs": settings.runs, "rule": EXACT}
-    world = {**WORLD, "attack": {"name": "offsets", **attack}}
+    sizes: dict[str, Any] = {"runs": settings.runs, "fit_runs": settings.runs, "rule": EXACT}
+    world: dict[str, Any] = {**WORLD, "attack": {"name": "offsets", **attack}}
     return Evaluator(detector=settings.detector, **world, **sizes)
 
 
@@ -93,11 +93,15 @@ def train(settings: Settings, case: str, seed: int, ramp: AlarmTrace) -> dict[st
         NUM_ENVS, detector=settings.detector, knowledge="blind", seed=1000 * seed, **own, **PACE
     )
     envs = VecNormalize(vector, gamma=1.0)
-    spread = {"policy_kwargs": {"log_std_init": log_std}}
+    spread: dict[str, Any] = {"policy_kwargs": {"log_std_init": log_std}}
     model = PPO("MlpPolicy", envs, seed=seed, device="cpu", **PLAIN, **spread)
     began = time.perf_counter()
     why = learn(model, settings.steps)
-    row = {"seed": seed, "wall_s": round(time.perf_counter() - began, 1), "diverged": why}
+    row: dict[str, Any] = {
+        "seed": seed,
+        "wall_s": round(time.perf_counter() - began, 1),
+        "diverged": why,
+    }
     if why is None:
         judge = make_judge(settings, attack)
         fit, trained = judge.fit(model), judge.score(model, amplitude=None)
@@ -117,8 +121,9 @@ def play(settings: Settings, progress: ProgressBar | None = None) -> dict[str, A
         own = {"attack": CASES[case], "plain": PLAIN}
         parts[f"{case} {RIVAL}"] = Part(own, lambda *_, x=case: ramps(x)[0])
         for seed in settings.seeds:
-            make = lambda *_, x=(case, seed): train(settings, *x, ramps(x[0])[1])  # noqa: E731
-            parts[f"{case} {seed}"] = Part(own, make, work=10.0)
+            parts[f"{case} {seed}"] = Part(
+                own, lambda *_, x=case, s=seed: train(settings, x, s, ramps(x)[1]), work=10.0
+            )
     told = {name: getattr(settings, name) for name in ("detector", "steps", "runs")}
     config = {**told, "versions": learning_versions()}
     found = Records("offsets-ppo", config, parts).play(settings.out, progress)
@@ -156,7 +161,7 @@ def main() -> None:
     if settings.list:
         each = MINUTES * settings.steps / 300_000
         for case in settings.cases:
-            print(f"{case}: {len(settings.seeds)} seeds, about {each:.0f} CPU minutes each")
+            print(f"{case}: {len(settings.seeds)} seeds, about {each:.1f} CPU minutes each")
         return
     torch.set_num_threads(1)
     results = play(settings, show_progress)

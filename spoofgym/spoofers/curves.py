@@ -63,4 +63,4 @@ class ActionCurves(Spoofer):
         step = self.memory["step"]
         action = self._actions[np.minimum(step, len(self._actions) - 1)]
         step += 1
-        return np.clip(action, -1.0, 1.0)
+        return np.asarray(np.clip(action, -1.0, 1.0))

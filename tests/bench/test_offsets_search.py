@@ -82,6 +82,6 @@ def test_paired_ratios_are_exact_where_one_attack_is_a_multiple_of_the_other():
 
     ratio = ratio_at_budget(curve(2.0), curve(1.0), 0.05)
     assert (ratio.value, ratio.low, ratio.high) == pytest.approx((2.0, 2.0, 2.0))
+    other = AlarmCurve(values, edges, {name: moved}, alarmed, sky + 1, 0.2)
     with pytest.raises(ValueError, match="same runs"):
-        other = AlarmCurve(values, edges, {name: moved}, alarmed, sky + 1, 0.2)
         ratio_at_budget(curve(1.0), other, 0.05)

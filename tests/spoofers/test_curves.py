@@ -28,6 +28,6 @@ def test_curves_that_do_not_fit_are_refused():
         with pytest.raises(ValueError, match="curves"):
             make_spoofer({"name": "action-curves", "curves": curves})
     env = gym.make("spoofgym/Offsets-v0", basis="position+clock", timeline=SHORT, detector="never")
-    with pytest.raises(ValueError, match="5 rows.*4 elements"):
+    with pytest.raises(ValueError, match=r"5 rows.*4 elements"):
         attach({"name": "action-curves", "curves": [[0.0, 1.0]] * 5}, env)
     env.close()
