@@ -9,7 +9,7 @@ from spoofgym.bench.scores.at_budget import AlarmCurve, ratio_at_budget
 from spoofgym.bench.search.offsets import (
     OffsetsBackend,
     OffsetsReplay,
-    list_axes_of,
+    list_offset_axes,
     unseen_line,
     unseen_ramp,
 )
@@ -34,7 +34,7 @@ def replay(world):
 
 
 def test_curves_displace_on_the_engine_as_the_response_says(world, replay):
-    rates = 0.1 * np.random.default_rng(1).normal(size=(len(list_axes_of(world.setup)), 12))
+    rates = 0.1 * np.random.default_rng(1).normal(size=(len(list_offset_axes(world.setup)), 12))
     rates[:, 0] = 0.0  # from rest, within the attack's limit of acceleration
     curves = np.cumsum(rates, axis=1) / 4.0
     start = WarmStart(world.setup, world.generators(0, "search", 3), threads=1)
@@ -62,7 +62,7 @@ def test_three_authentic_satellites_do_not_see_the_ramp_along_their_line(world, 
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
     assert np.abs(line[3] - sight @ setup.world.C_en[onset] @ line[:3]).max() < 1e-9
     # the shift of the innovations, of a victim that follows it, by that of an east ramp
-    ramps = np.zeros((2, len(list_axes_of(setup)), replay.knots))
+    ramps = np.zeros((2, len(list_offset_axes(setup)), replay.knots))
     ramps[0] = unseen_ramp(setup, captured, onset, replay.knots).reshape(ramps[0].shape)
     ramps[1, 1] = 1.0
     moved, error = replay.compute_shifts(ramps.reshape(2, -1), np.arange(1), frozenset())

@@ -125,22 +125,22 @@ def knot_curves(steps: int, knots: int) -> FloatArray:
     return hat_functions(steps + 1, knots)[1:]
 
 
-def list_axes_of(setup: Setup) -> list[str]:
+def list_offset_axes(setup: Setup) -> list[str]:
     assert isinstance(setup.attack, Offsets)
     return list(setup.attack.axis_names(setup.world))
 
 
 def select_columns(setup: Setup, space: str, knots: int) -> Rows:
     """Which of the (a Q,) rates belong to a space."""
-    axes = list_axes_of(setup)
+    axes = list_offset_axes(setup)
     own = [axes.index(name) for name in SPACES[space]] or range(len(axes))
     return np.concatenate([axis * knots + np.arange(knots) for axis in own])
 
 
 def coherent_curve(setup: Setup, knots: int, axis: str, shape: FloatArray) -> FloatArray:
     """(a Q,) rates of one axis alone, `shape` (Q,)."""
-    rates = np.zeros((len(list_axes_of(setup)), knots))
-    rates[list_axes_of(setup).index(axis)] = shape
+    rates = np.zeros((len(list_offset_axes(setup)), knots))
+    rates[list_offset_axes(setup).index(axis)] = shape
     return rates.ravel()
 
 
@@ -168,6 +168,6 @@ def unseen_ramp(setup: Setup, captured: Rows, onset: int, knots: int) -> FloatAr
     way = lines * (sign * np.arange(1, steps + 1))[:, None] * setup.interval_s
     rate = np.diff(way, axis=0, prepend=np.zeros((1, 4))) / setup.interval_s
     shapes = knot_curves(steps, knots)
-    rates = np.zeros((len(list_axes_of(setup)), knots))
+    rates = np.zeros((len(list_offset_axes(setup)), knots))
     rates[:4] = np.linalg.lstsq(shapes, rate, rcond=None)[0].T
     return rates.ravel()
