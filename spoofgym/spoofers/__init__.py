@@ -3,6 +3,7 @@
 from ..policies.onnx_file import SUFFIX
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
 from .build import SPOOFERS, make_spoofer
+from .curves import ActionCurves
 from .feedback import Feedback, FeedbackProfile, ThresholdRider
 from .learned import OnnxPolicy
 from .profile import OpenLoop, Profile
@@ -14,6 +15,7 @@ __all__ = [
     "SPOOFERS",
     "SUFFIX",
     "AcceleratingRamp",
+    "ActionCurves",
     "Dash",
     "Feedback",
     "FeedbackProfile",

@@ -10,6 +10,7 @@ from ..policies.card import SPOOFER, SpooferCard
 from ..policies.onnx_file import SUFFIX
 from ..policies.zoo import list_shipped, load_card
 from .base import Spoofer
+from .curves import ActionCurves
 from .feedback import Feedback, FeedbackProfile, ThresholdRider
 from .learned import OnnxPolicy
 from .profile import OpenLoop, Profile
@@ -18,6 +19,7 @@ from .scaled import AMPLITUDE, Scaled, split_amplitude
 
 SPOOFERS: dict[str, type[Spoofer]] = {
     "accelerating-ramp": AcceleratingRamp,
+    "action-curves": ActionCurves,
     "open-loop": OpenLoop,
     "feedback": Feedback,
     "feedback-profile": FeedbackProfile,

@@ -218,6 +218,20 @@ def compare_at_budget(
     return _estimate(x - y)
 
 
+def ratio_at_budget(
+    first: AlarmCurve, second: AlarmCurve, budget: float, factors: FloatArray | None = None
+) -> Estimate:
+    """Displacement of the first over that of the second on the same runs. Both amplitudes are
+    fitted again in every draw, of runs and of the threshold, which they share."""
+    if not np.array_equal(first.sky, second.sky):
+        raise ValueError("a paired ratio needs two attacks on the same runs")
+    if not first.runs:
+        return NOTHING
+    samples = _draw(first.sky)
+    x, y = (_scores(curve, budget, samples, factors)[MEASURES[0]] for curve in (first, second))
+    return _estimate(x / y)
+
+
 def score_best(traces: Sequence[AlarmTrace], budget: float) -> Estimate:
     """Displacement of the best of several attacks on the same runs [m], chosen on one half of the
     runs and scored on the other, both ways round; choices are made again in every draw."""

@@ -52,7 +52,7 @@ class ReplayBackend:
         if not isinstance(heading_deg, str):
             self.replay = replay = copy.copy(replay)
             replay.heading = np.full(replay.runs, math.radians(heading_deg))
-        self.steps = replay.setup.steps // replay.setup.repeat
+        self.steps = len(replay.hats)
         self.limits = get_rate_limits(replay.setup)
         clean = replay.play(number, np.zeros((1, self.steps)))
         counts = mask_valid_runs(replay.warmup_alarm[number], clean.first_alarm[0])

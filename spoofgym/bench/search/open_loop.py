@@ -135,21 +135,28 @@ class OpenLoopOptimizer:
             return OpenLoopAttack(slowest, 0.0, "ramp", 0.0)
         if (fastest := self._try_fastest(len(t))) is not None:
             return fastest
-        shapes = {name: shape(t) for name, shape in SHAPES.items()}
-        for name, other in others.items():
-            at_knots = np.interp(t, np.linspace(0.0, 1.0, len(other)), other)
-            shapes[name] = at_knots / np.abs(at_knots).max()
-        found, free = self._ladder(shapes)
+        found, free = self._ladder(self._shapes(t, others))
         advance(0.2)
         if free:
             return found._replace(saturated=True)
         means = [found.rates_mps, *self._generations(found.rates_mps, advance)]
         third = np.array(means[-max(len(means) // 3, 1) :])
-        scores, rates = self._pairs(
-            np.array([means[0], *third, third.mean(axis=0)]), means[0].mean(), self.all_runs
-        )
+        last = np.array([means[0], *third, third.mean(axis=0)])
+        scores, rates = self._pairs(last, self._size(means[0]), self.all_runs)
         best = int(np.argmax(scores))
         return found._replace(rates_mps=rates[best], displacement_m=float(scores[best]))
+
+    def _shapes(self, t: FloatArray, others: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Curves (knots,) that a search may start from, the largest value 1."""
+        shapes = {name: shape(t) for name, shape in SHAPES.items()}
+        for name, other in others.items():
+            at_knots = np.interp(t, np.linspace(0.0, 1.0, len(other)), other)
+            shapes[name] = at_knots / np.abs(at_knots).max()
+        return shapes
+
+    def _size(self, rates: FloatArray) -> Any:
+        """(...) size of rates (..., knots), by which they are compared at one amplitude."""
+        return rates.mean(axis=-1)
 
     def _try_fastest(self, knots: int) -> OpenLoopAttack | None:
         """The fastest curve of all, where no run alarms at it: nothing gets farther."""
@@ -241,24 +248,24 @@ class OpenLoopOptimizer:
                 "the search for an open-loop attack needs cmaes: pip install 'spoofgym[limits]'"
             ) from error
         settings, size, limit = self.settings, self.settings.population, self.backend.limits[0]
-        edges, _ = self._climb(np.eye(settings.knots), LADDER * limit)
+        edges, _ = self._climb(np.eye(len(start)), LADDER * limit)
         unit = np.median(edges, axis=1)
         sd = SPREAD * float(np.sqrt(np.mean((start / unit) ** 2)))
         cma = CMA(start / unit, sd, seed=settings.seed, population_size=size)
-        moved = float(start.mean())
+        moved = float(self._size(start))
         for turn in range(settings.generations):
             # the mean is one of the candidates: it learns the noise of a few runs the least
             points = [cma.mean.copy(), *(cma.ask() for _ in range(size - 1))]
             scores, rates = self._pairs(np.array(points) * unit, moved, self._batch(turn))
             cma.tell([(x, -score) for x, score in zip(points, scores.tolist(), strict=True)])
-            moved = float(rates[0].mean())
+            moved = float(self._size(rates[0]))
             advance(0.8 / settings.generations)
             yield rates[0]
 
     def _pairs(self, rates: FloatArray, moved: float, rows: Rows) -> tuple[FloatArray, FloatArray]:
         """Scores of (P, knots) rates, and these at the amplitudes of the scores. All are brought to
         the same mean rate first, so that they are judged near their amplitude."""
-        mean = rates.mean(axis=1)
+        mean = self._size(rates)
         rates = (
             rates * np.where(mean * moved > 0.0, moved / np.where(mean, mean, 1.0), 1.0)[:, None]
         )
