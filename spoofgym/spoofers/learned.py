@@ -315,7 +315,9 @@ def warn_of_statistics(model: Any) -> None:
     Stable-baselines3 saves neither; what is left is the last observation as it was before.
     """
     envs = model.get_vec_normalize_env() if hasattr(model, "get_vec_normalize_env") else None
-    if envs is None:
+    if envs is None and hasattr(model, "train_freq"):
+        missing = False  # off-policy models keep such an observation whatever they learned behind
+    elif envs is None:
         now, before = (getattr(model, f"_last_{name}", None) for name in ("obs", "original_obs"))
         missing = before is not None and not (now is not None and np.array_equal(now, before))
     else:

@@ -89,7 +89,7 @@ def added_nis(errors, sd_m, correlation_s, by_data_sheet=True):
     if by_data_sheet:
         inertial = matched_sensors("aviation", Motion())
         noise = setup.combinations[0].noise._replace(inertial=inertial)
-        setup.combinations._all[0] = setup.combinations[0]._replace(
+        setup.combinations._made[0] = setup.combinations[0]._replace(
             noise_psd=receiver.noise_psd(noise), covariance=receiver.initial_covariance(noise)
         )
     clean, attacked = (setup.simulator(RUNS, run_serially) for _ in range(2))

@@ -18,7 +18,7 @@ from spoofgym.cli.suites import standard_suite
 from spoofgym.core.settings import compute_digest
 from spoofgym.detectors import DETECTORS, Shewhart
 from spoofgym.simulation.setup import SPLITS, seed_sequences
-from spoofgym.tasks import RANGE_RATE_TESTS, get_task
+from spoofgym.tasks import get_task
 
 from .support import small_suite
 
@@ -128,19 +128,19 @@ class Mine(Shewhart):
     """Somebody's own detector."""
 
 
-def test_everyone_who_suits_plays_in_the_world_of_the_task_at_one_rate_and_the_controls_with_them():
+def test_the_suite_plays_in_the_world_of_the_task_at_one_rate_and_the_controls_with_it():
     tuned = [add_tuned_setting(name) for name in standard.SPOOFERS]
     suite, task = standard_suite(None, {"spoofers": tuned}), get_task(standard.TASK)
     assert {name: suite.world.settings[name] for name in task.world_kwargs} == task.world_kwargs
     assert suite.alert_limit_m == (task.alert_limit_m or Suite.alert_limit_m)
     specs = [entry.spec for entry in suite.detector_players]
     names = [spec["name"] for spec in specs]
-    assert names[:3] == ["never", "lottery", "solution-separation"]
-    first = specs[3 : 3 + len(RANGE_RATE_TESTS)]
-    assert [(spec["name"], spec["signals"]) for spec in first] == [
-        (spec["name"], "range_rate") for spec in RANGE_RATE_TESTS
-    ]
-    assert {"lottery", "snapshot-chi2", "ewma", "windowed-chi2", "raim"} <= {*names}
+    assert names[:4] == ["never", "lottery", "solution-separation", "solution-separation"]
+    assert [spec.get("filter") for spec in specs[2:4]] == ["augmented", None]
+    assert specs[2] == task.detector | {"false_alarms_per_hour": standard.RATE}
+    rates = [spec for spec in specs if spec.get("signals") == "range_rate"]
+    assert [spec["name"] for spec in rates] == list(standard.RATE_TESTS)
+    assert names[8:] == list(standard.TESTS)
     assert {spec.get("false_alarms_per_hour") for spec in specs[1:]} == {standard.RATE}
     played = suite.spoofer_players[1:]
     labels = [entry.spec.get("label") or entry.spec["name"] for entry in played]

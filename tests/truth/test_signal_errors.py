@@ -161,7 +161,9 @@ def test_the_worlds_of_aviation():
     # at 2 Hz a range rate has 7 mm/s
     assert ERRORS["aviation-actual"].rate_sd(0.5) == pytest.approx(0.00707, abs=1e-5)
     one, other = (
-        TightlyCoupledSetup(scenario=name, receiver="matched", detector="never").combinations[0]
+        TightlyCoupledSetup(scenario=name, receiver="matched", detector="never").combinations._all[
+            0
+        ]
         for name in names
     )
     np.testing.assert_array_equal(one.noise_variance, other.noise_variance)
