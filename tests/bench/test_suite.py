@@ -137,7 +137,7 @@ def test_the_suite_plays_in_the_world_of_the_task_at_one_rate_and_the_controls_w
     names = [spec["name"] for spec in specs]
     assert names[:4] == ["never", "lottery", "solution-separation", "solution-separation"]
     assert [spec.get("filter") for spec in specs[2:4]] == ["augmented", None]
-    assert specs[2] == task.detector | {"false_alarms_per_hour": standard.RATE}
+    assert (task.detector | {"false_alarms_per_hour": standard.RATE}).items() <= specs[2].items()
     rates = [spec for spec in specs if spec.get("signals") == "range_rate"]
     assert [spec["name"] for spec in rates] == list(standard.RATE_TESTS)
     assert names[8:] == list(standard.TESTS)
