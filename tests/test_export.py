@@ -304,7 +304,7 @@ def test_a_wrapper_that_changes_what_is_observed_is_refused_by_its_name(tmp_path
     net = torch.nn.Linear(len(make().observation_names), 1)
     onnx(net, plain(), tmp_path / "y.onnx")
     for env in (Half(plain()), VecNormalize(make())):
-        with pytest.raises(ValueError, match=r"changes every observation, and 'y' is played witho"):
+        with pytest.raises(ValueError, match=r"changes every observation, and 'y' is played with"):
             attach(str(tmp_path / "y.onnx"), env)
 
 

@@ -23,6 +23,7 @@ from spoofgym.truth.sensors import SOURCES, SensorBuffers
 
 FOLDER = Path(__file__).with_name("trajectories")
 RECEIVERS, STEPS, SEED = 2, 40, 20261121
+AGED = tuple(f"spoofgym/BenchS{k}-v2" for k in (1, 2, 3))
 Record = dict[str, np.ndarray]
 
 
@@ -41,7 +42,7 @@ def stacked(rows: list[dict[str, Any]]) -> Record:
 def play(name: str, receivers: int = RECEIVERS, steps: int = STEPS) -> Record:
     """Play an id as it is registered, all of a step in one row of every array; every episode with
     a past of its own."""
-    own = {"warm_pool": 0} if name.startswith("spoofgym/BenchS") else {}
+    own = {"warm_pool": 0} if name.startswith(AGED) else {}
     envs = gym.make_vec(name, num_envs=receivers, **own)
     observation, _ = envs.reset(seed=SEED)
     rows, first = [], observation
