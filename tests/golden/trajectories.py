@@ -23,7 +23,7 @@ from spoofgym.truth.sensors import SOURCES, SensorBuffers
 
 FOLDER = Path(__file__).with_name("trajectories")
 RECEIVERS, STEPS, SEED = 2, 40, 20261121
-AGED = tuple(f"spoofgym/BenchS{k}-v2" for k in (1, 2, 3))
+AGED = "spoofgym/BenchS1-v2", "spoofgym/BenchS2-v2", "spoofgym/BenchS3-v2"
 Record = dict[str, np.ndarray]
 
 
