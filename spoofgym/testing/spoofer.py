@@ -20,6 +20,7 @@ from ..envs.terms.action import CommandMap, Decisions
 from ..simulation import Engine, Setup, TightlyCoupledSetup, Timeline
 from ..spoofers import KNOWLEDGE, Spoofer, SpooferContext, make_spoofer
 from ..spoofers.base import TARGET, FloatArray
+from ..spoofers.build import card_behind
 from .contract import (
     ContractTrial,
     Record,
@@ -85,7 +86,7 @@ def check_spoofer(
 def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) -> Setup:
     """Where a spoofer is tried: at the time on its card, or else after a short warm-up; the window
     decides which elements of the target's motion are observed."""
-    card = getattr(spoofer, "card", None)
+    card = card_behind(spoofer)
     if card is None:
         attack = "false-position" if attack is None else attack
         follows = getattr(spoofer, "heading_deg", None) == TARGET

@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from spoofgym.bench.scores.campaign import HALF
 from spoofgym.detectors.calibrated import UncalibratedWarning
 from spoofgym.simulation.setup import Timeline
 from spoofgym.tasks import get_task
@@ -64,7 +65,7 @@ def test_detector_campaign_extras_and_times_are_those_that_it_names(saved, full)
     assert first == ""
     assert {"report", "flights", "train"} <= named <= {*extras}
     settings = get_task(WORLD).world_kwargs
-    assert settings["scenario"]["name"] == full["scenario"]
+    assert settings["scenario"]["name"] == full["scenario"].partition(" ")[0]
     line = Timeline(**settings.get("timeline", {}))
     assert f"attacks last {line.attack_s:.0f} s" in README
 
@@ -129,6 +130,9 @@ def test_make_bench_plays_rows_of_the_full_run_and_agrees_by_interval(full):
         assert {*scores} == {*whole[name]}
         for score, one in scores.items():
             other = whole[name][score]
+            if score == HALF or score.startswith("exceeded"):  # of a search on half of the runs
+                assert 0.7 * other["value"] <= one["value"] <= 1.001 * other["high"], (name, score)
+                continue
             apart = max(one["low"] - other["high"], other["low"] - one["high"])
             # an interval may have no width: what is searched for lies on a grid
             assert apart <= 1e-3 * abs(other["value"]), (name, score)
