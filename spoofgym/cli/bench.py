@@ -41,7 +41,7 @@ def bench(
         Option(
             "--suite",
             help="Suite by name: `standard` plays twelve detectors in the world of task S1 at 0.2 "
-            "false alarms an hour against four spoofers, in about an hour on two idle cores; with "
+            "false alarms an hour against four spoofers, in about an hour of processor time; with "
             "--detector those that are named, such as your own, and the negative controls. It "
             "decides all but detectors, seeds, sizes and folder.",
         ),

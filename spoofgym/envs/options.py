@@ -68,6 +68,12 @@ def read_mask(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.b
     return mask.copy()
 
 
+def read_fresh(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.bool_]:
+    """(B,) bool, which receivers a reset concerns."""
+    mask = read_mask(options, receivers)
+    return np.ones(receivers, dtype=np.bool_) if mask is None else mask
+
+
 def list_seeds(seed: Any, receivers: int) -> list[int | None]:
     """Seed of every receiver.  Returns None where the stream of the receiver goes on."""
     if seed is None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..envs.factory import composable
-from ..envs.options import Array, read_mask
+from ..envs.options import Array, read_fresh
 from ..envs.wrappers import vector as twins
 from .alarms import AlarmLog
 
@@ -35,11 +35,11 @@ class AlarmRecorder(twins.Wrapper):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        mask = read_mask(options, self.num_envs)
+        fresh = read_fresh(options, self.num_envs)
         observation, info = super().reset(seed=seed, options=options)  # type: ignore[arg-type]
-        for row in range(self.num_envs) if mask is None else np.flatnonzero(mask).tolist():
+        for row in np.flatnonzero(fresh).tolist():
             self.alarms.start(row, select_row(info, row))
-            self._over[row] = False
+        self._over &= ~fresh
         return observation, info
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:

@@ -75,3 +75,16 @@ def single(**kwargs: Any) -> gym.Env:
 
 def vector(num_envs: int, **kwargs: Any) -> SpoofVectorEnv:
     return SpoofVectorEnv(num_envs, **{"timeline": SHORT, "action": "full-command", **kwargs})
+
+
+class LooksAtEpochs(gym.Wrapper):
+    """A detector as an ordinary wrapper; what it makes of the epochs is its `look`."""
+
+    def reset(self, **kwargs):
+        observation, info = super().reset(**kwargs)
+        return observation, info | self.look(info["epochs"])
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = super().step(action)
+        info |= self.look(info["epochs"])
+        return observation, reward, terminated or info["alarm"], truncated, info

@@ -2,7 +2,6 @@
 
 from functools import partial
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -11,7 +10,7 @@ from spoofgym.envs import wrappers
 from spoofgym.envs.wrappers import vector as vector_wrappers
 from spoofgym.simulation.simulator import weighs
 
-from .support import HOLD, LIVE, STEPS, single, vector, victim
+from .support import HOLD, LIVE, STEPS, LooksAtEpochs, single, vector, victim
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +72,7 @@ def test_a_filter_of_its_own_sees_the_whole_start_from_outside():
         assert mine["statistic"] > 0.0
 
 
-class TenLines(gym.Wrapper):
+class TenLines(LooksAtEpochs):
     """Alarms where a range rate is far from what was predicted; knows nothing of this library."""
 
     def look(self, epochs):
@@ -81,15 +80,6 @@ class TenLines(gym.Wrapper):
             np.max(np.abs(e.innovation) / np.sqrt(e.innovation_variance), initial=0) for e in epochs
         ]
         return {"statistic": max(ratio), "threshold": 3.0, "alarm": max(ratio) > 3.0}
-
-    def reset(self, **kwargs):
-        observation, info = super().reset(**kwargs)
-        return observation, info | self.look(info["epochs"])
-
-    def step(self, action):
-        observation, reward, terminated, truncated, info = super().step(action)
-        info |= self.look(info["epochs"])
-        return observation, reward, terminated or info["alarm"], truncated, info
 
 
 @pytest.mark.parametrize("epochs", [1, 5])

@@ -17,7 +17,7 @@ from spoofgym.wrappers import (
     vector,
 )
 
-from ..envs.support import HOLD, SHORT, STEPS, AlarmAt
+from ..envs.support import HOLD, SHORT, STEPS, AlarmAt, LooksAtEpochs
 
 ID = "spoofgym/TightlyCoupled-v0"
 FAST = {"name": "ramp", "rate_mps": 1.0}
@@ -33,17 +33,8 @@ def largest(epoch):
     return np.max(np.abs(epoch.innovation) / np.sqrt(epoch.innovation_variance), axis=-1)
 
 
-class Plain(gym.Wrapper):
+class Plain(LooksAtEpochs):
     """A detector in ten lines, which knows nothing of this library."""
-
-    def reset(self, **kwargs):
-        observation, info = super().reset(**kwargs)
-        return observation, info | self.look(info["epochs"])
-
-    def step(self, action):
-        observation, reward, terminated, truncated, info = super().step(action)
-        info |= self.look(info["epochs"])
-        return observation, reward, terminated or info["alarm"], truncated, info
 
     def look(self, epochs):
         statistic = max(map(largest, epochs))

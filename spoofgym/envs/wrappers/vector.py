@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from ...detectors.build import DetectorSpec
 from ..core import EpochSpec, WatchSpec
 from ..factory import composable, compose
-from ..options import Array, read_mask
+from ..options import Array, read_fresh
 from ..terms.termination import AtStealthBudget
 from . import EpochRecorder, name_twin
 from .outside import OutsideDetector, warn_uncalibrated
@@ -96,8 +96,7 @@ class PassiveDetector(Wrapper):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        mask = read_mask(options, self.num_envs)
-        fresh = np.ones_like(self._over) if mask is None else mask
+        fresh = read_fresh(options, self.num_envs)
         observation, info = super().reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._over &= ~fresh
         add_to_info(info, self.judge.judge(info, fresh))
@@ -145,8 +144,7 @@ class RecordEpochs(Wrapper):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        mask = read_mask(options, self.num_envs)
-        rows = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
+        rows = np.flatnonzero(read_fresh(options, self.num_envs))
         self.recorder.finish(rows, complete=False)
         return super().reset(seed=seed, options=options)  # type: ignore[arg-type]
 
