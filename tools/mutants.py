@@ -41,16 +41,16 @@ from .size import count_statements
 
 ROOT = Path(__file__).resolve().parents[1]
 TESTED = {
-    "spoofgym/receiver": "tests/receiver",
-    "spoofgym/detectors": "tests/detectors",
-    "spoofgym/bench/scores": "tests/bench",
-    "spoofgym/bench/experiments/store.py": "tests/bench/experiments",
-    "spoofgym/envs": "tests/envs",
-    "spoofgym/simulation/_kernels.py": "tests/simulation",
-    "spoofgym/attacks/_kernels.py": "tests/attacks",
-    "spoofgym/truth/_kernels.py": "tests/truth",
+    "spoofgym/receiver": ("tests/receiver",),
+    "spoofgym/detectors": ("tests/detectors",),
+    "spoofgym/bench/scores": ("tests/bench",),
+    "spoofgym/bench/experiments/store.py": ("tests/bench/experiments",),
+    "spoofgym/envs": ("tests/envs",),
+    "spoofgym/simulation/_kernels.py": ("tests/simulation",),
+    "spoofgym/attacks/_kernels.py": ("tests/attacks",),
+    "spoofgym/truth/_kernels.py": ("tests/truth", "tests/simulation"),
 }
-"""Where mutants are drawn from, and the tests that each meets first."""
+"""Where mutants are drawn from, and the tests that each meets first: of what computes there."""
 ALWAYS = ("tests/golden", "tests/conformance")
 KERNELS = "kernels.py"
 """What the names of files with kernels end in."""
@@ -177,8 +177,8 @@ def _list_files(place: Path) -> list[Path]:
 
 def find_tests(file: str) -> list[str]:
     """Folders of tests that a mutant meets, in their order."""
-    (first,) = (tests for place, tests in TESTED.items() if (file + "/").startswith(place + "/"))
-    return [first, *ALWAYS]
+    (near,) = (tests for place, tests in TESTED.items() if (file + "/").startswith(place + "/"))
+    return [*near, *ALWAYS]
 
 
 def apply(mutant: Mutant, root: Path) -> bool:

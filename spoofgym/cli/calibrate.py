@@ -63,7 +63,7 @@ def calibrate(
     overwrite: Annotated[
         bool, Option("--overwrite", help="Play again what has been calibrated.")
     ] = False,
-    task: Annotated[str | None, Option(help="World of a task, T1 to T6.")] = None,
+    task: Annotated[str | None, Option(help="World of a task, S1 to S3 or T1 to T6.")] = None,
     as_json: opt.Json = False,
     options: WorldOptions,
     seed: opt.Seed = 0,

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 def dataset(
     out: Annotated[Path, Argument(help="Folder of the data set.")],
     *,
-    task: Annotated[str | None, Option(help="World of a task, T1 to T6, and its detector.")] = None,
+    task: Annotated[
+        str | None, Option(help="World of a task, S1 to S3 or T1 to T6; its detector.")
+    ] = None,
     detector: Annotated[
         str | None,
         Option(

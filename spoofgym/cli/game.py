@@ -15,7 +15,9 @@ def game(
     *,
     spoofer: Annotated[list[str], Option(help=f"Spoofer, may be repeated. {opt.SPEC_HELP}")],
     detector: Annotated[list[str], Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")],
-    task: Annotated[str, Option(help="Task whose world and alert limit are taken, T1 to T6.")],
+    task: Annotated[
+        str, Option(help="Task whose world and alert limit are taken, S1 to S3 or T1 to T6.")
+    ],
     payoff: Annotated[
         str,
         Option(

@@ -22,8 +22,8 @@ def limits(
     task: Annotated[
         str | None,
         Option(
-            help="Task of spoofgym-bench-v1, T1 to T6, which sets scenario, receiver, attack, "
-            "times and detectors; see `spoofgym tasks`."
+            help="Task, S1 to S3 or T1 to T6 of the first suite, which sets scenario, receiver, "
+            "attack, times and detectors; see `spoofgym tasks`."
         ),
     ] = None,
     detector: Annotated[

@@ -63,7 +63,7 @@ def card(
 
 
 def tasks(as_json: opt.Json = False) -> None:
-    """List the tasks of spoofgym-bench-v1, with their brackets and the scores that are known."""
+    """List the tasks of both suites, with their brackets and the scores that are known."""
     from ..bench.report import tasks as stored
 
     if as_json:

@@ -66,7 +66,7 @@ class SpoofVecEnv(VecEnv):
     env_id : str, optional
         Id of the environment, for any kind of victim; by default ``spoofgym/TightlyCoupled-v0``.
     task : str, optional
-        ``"T1"`` to ``"T6"`` in its place.
+        ``"S1"`` to ``"S3"``, or ``"T1"`` to ``"T6"`` of the first suite, in its place.
     side : {"spoofer", "detector"}
         Who learns.  A detector learns against a pool of spoofers, as in `DetectorView`.
     pool : list, optional

@@ -66,7 +66,7 @@ def checkout(tmp_path, monkeypatch):
         name = ["-c", "user.name=a", "-c", "user.email=a@b.c"]
         subprocess.run(["git", *name, *words], cwd=root, check=True)
     monkeypatch.setattr(mutants, "ROOT", root)
-    monkeypatch.setattr(mutants, "TESTED", {"spoofgym/receiver": "tests/receiver"})
+    monkeypatch.setattr(mutants, "TESTED", {"spoofgym/receiver": ("tests/receiver",)})
     return root
 
 

@@ -199,7 +199,8 @@ def evaluate(
         module; a function of (B, o) observations that returns (B, a) actions; a `Spoofer`;
         its name, or name and settings; or the path of an ``.onnx`` file with its card.
     task : str, optional
-        ``"T1"`` to ``"T6"``; without one, ``detector`` and its world are given by name.
+        ``"S1"`` to ``"S3"``, or ``"T1"`` to ``"T6"``; without one, ``detector`` and its world are
+        given by name.
     runs : int
         Evaluation runs, which decide nothing.
     fit_runs : int
