@@ -11,9 +11,10 @@ import numpy as np
 
 from ..core.compile import njit
 from ..core.simd import LANES, load_pair, splat, store
+from ..receiver._augmented_kernels import append_signals
 from ..receiver.augmented import FIRST
-from ..receiver.states import STATES
-from ._solution_separation_kernels import append_rows
+from ..receiver.states import POSITION, STATES
+from ._solution_separation_kernels import append_rows, horizontal_axes
 from .base import BoolArray, FloatArray, IntArray, cholesky_of_rows
 
 BLOCK = 4  # rows that are corrected together
@@ -145,6 +146,20 @@ def propagate_wide(
 
 
 @njit
+def compute_sines(position_e: FloatArray, design: FloatArray, sine: FloatArray) -> None:
+    """Write sines of elevations (B, n) at positions (B, 3), ECEF; lines of sight are those of
+    pseudoranges in `design` (B, 2n, 17)."""
+    for b in range(len(sine)):
+        north, east = horizontal_axes(position_e[b])
+        x = east[1] * north[2] - east[2] * north[1]
+        y = east[2] * north[0] - east[0] * north[2]
+        z = east[0] * north[1] - east[1] * north[0]
+        for s in range(sine.shape[1]):
+            sight = design[b, s, POSITION : POSITION + 3]
+            sine[b, s] = sight[0] * x + sight[1] * y + sight[2] * z
+
+
+@njit
 def advance_filters(
     filters: FloatArray,
     feedback: FloatArray,
@@ -155,7 +170,10 @@ def advance_filters(
     driven: IntArray,
     driving: FloatArray,
     design: FloatArray,
-    signals: FloatArray,
+    mapping: FloatArray,
+    first: IntArray,
+    smoothed: FloatArray,
+    rate: float,
     visible: BoolArray,
     innovation: FloatArray,
     variance: FloatArray,
@@ -173,10 +191,11 @@ def advance_filters(
     Memory: `filters` (B, N, W), P and behind it the errors of all states. `feedback` (B, 17, m) of
     the last epoch, and its `weights` (B, m); `top` (B, 17, c) first rows of the transition, 0
     beyond; `rest` (N - 17, N - 17) of the others; `half` (B, 17) diagonal of Q/2; `driven` (k, 2)
-    places, `driving` (k,) values of D; `design` (B, m, 17), `signals` (B, m, q) of H; `innovation`
-    (B, m) of the victim; `variance` (m,) R. Written: `z` (B, m), `S` (B, m, m), 0 and the identity
-    where not visible; `white` (B, m, d + 1) first columns of A, and behind them :math:`-L^{-1} z`,
-    in `counts` (B,) rows, -1 where S is not positive definite: all errors
+    places, `driving` (k,) values of D; `design` (B, m, 17) of H, of whose other columns `mapping`
+    (B, n, 6), `first`, `smoothed`, `rate` are, as of `append_signals`; `innovation` (B, m) of the
+    victim; `variance` (m,) R. Written: `z` (B, m), `S` (B, m, m), 0 and the identity where not
+    visible; `white` (B, m, d + 1) first columns of A, and behind them :math:`-L^{-1} z`, in
+    `counts` (B,) rows, -1 where S is not positive definite: all errors
     are then infinite.
     """
     receivers, width = len(filters), filters.shape[2]
@@ -212,7 +231,7 @@ def advance_filters(
             if not visible[b, r % n]:
                 continue
             size = append_part(design[b, r], 0, size, places, values)
-            size = append_part(signals[b, r], FIRST, size, places, values)
+            size = append_signals(mapping[b], first, smoothed, rate, r, FIRST, size, places, values)
             seen[count], until[count + 1] = r, size
             combine_rows(as_vectors(M), wide, places, values, until[count], size, AV, count * wide)
             A[count, states] -= innovation[b, r]

@@ -29,12 +29,17 @@ import numpy as np
 
 from ..core.declared import setting
 from ..core.memory import Memory
-from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
-from ..receiver.augmented import FIRST, IN_RUN, couple_errors, first_covariance
+from ..receiver._augmented_kernels import couple_errors
+from ..receiver.augmented import FIRST, IN_RUN, first_covariance
 from ..receiver.epoch import Epoch
-from ..receiver.states import POSITION, STATES
+from ..receiver.states import STATES
 from ..truth.signal_errors import MAPPINGS, causal_mappings
-from ._own_filter_kernels import advance_filters, compute_feedback, wide_shape
+from ._own_filter_kernels import (
+    advance_filters,
+    compute_feedback,
+    compute_sines,
+    wide_shape,
+)
 from .base import HAVE_IT, Detector, DetectorContext, FloatArray
 
 VICTIM, AUGMENTED = "victim", "augmented"
@@ -66,7 +71,6 @@ class OwnFilter:
         if model is None:
             raise ValueError(f"a filter beside the victim's needs a model of its errors; {HAVE_IT}")
         self.model, self.memory, self.fewest = model, memory, context.min_satellites
-        self.interval_s = context.epoch_interval_s
         P = first_covariance(model.signals, model.covariance, model.grade)
         self.states, self.inertial = len(P), FIRST + model.signals.wandering
         filters = np.zeros((b, *wide_shape(self.states)))
@@ -78,6 +82,7 @@ class OwnFilter:
         self.rest[FIRST - STATES :, FIRST - STATES :] = model.signals.transition
         self.driven = np.argwhere(driving)
         self.driving = driving[*self.driven.T]
+        self.tables = model.signals.tables(context.epoch_interval_s)
         self.white = np.zeros((b, 2 * n, self.inertial + 1))
         self.counts = np.zeros(b, dtype=np.int64)
 
@@ -86,9 +91,8 @@ class OwnFilter:
         covariances."""
         memory, visible = self.memory, epoch.visible
         Phi, P, H, S, imu_delta, weights = (cast(FloatArray, getattr(epoch, n)) for n in NEEDS)
-        moved = couple_errors(Phi, imu_delta, epoch.interval, self.inertial)
-        self.top = np.concatenate([Phi, moved], axis=2)
-        signals = self.model.signals.rows(self._map_signals(epoch), visible, self.interval_s)
+        self.top = np.zeros((len(Phi), STATES, self.inertial))
+        couple_errors(Phi, imu_delta, epoch.interval, self.top)
         z, own_S = np.empty(epoch.innovation.shape), np.empty(S.shape)
         advance_filters(
             memory["filters"],
@@ -100,7 +104,8 @@ class OwnFilter:
             self.driven,
             self.driving,
             H,
-            signals,
+            self._map_signals(epoch),
+            *self.tables,
             visible,
             epoch.innovation,
             self.model.noise_variance,
@@ -111,19 +116,18 @@ class OwnFilter:
             self.counts,
         )
         compute_feedback(P, H, epoch.innovation, S, visible, self.fewest, memory["feedback"])
-        found = z, own_S, np.einsum("bii->bi", own_S).copy()
+        found: tuple[Any, ...] = z, own_S, own_S.diagonal(axis1=1, axis2=2).copy()
         for array in found:
             array.flags.writeable = False
         return epoch._replace(**dict(zip(FOUND, found, strict=True)))
 
     def _map_signals(self, epoch: Epoch) -> FloatArray:
         """(B, n, 6) as `compute_mappings` has it, with rates since the last epoch."""
-        memory, n = self.memory, epoch.visible.shape[1]
+        memory = self.memory
         if SLOW.issuperset(self.model.signals.places):
             return memory["mapping"]
-        up = -dcm_e_from_n(*ecef_to_geodetic(epoch.predicted_position)[:2])[:, :, 2]
-        sight = cast(FloatArray, epoch.design)[:, :n, POSITION : POSITION + 3]
-        sine = (sight * up[:, None, :]).sum(axis=2)
+        sine = np.empty(epoch.visible.shape)
+        compute_sines(epoch.predicted_position, cast(FloatArray, epoch.design), sine)
         elevation = np.arcsin(np.clip(sine, -1.0, 1.0))
         last = memory["mapping"]
         memory["mapping"] = causal_mappings(elevation, epoch.visible, epoch.interval, last)

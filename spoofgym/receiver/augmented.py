@@ -36,10 +36,10 @@ from ..core.memory import Memory
 from ..truth.gnss_errors import GnssErrors
 from ..truth.sensors import IMU_GRADES, ImuGrade
 from ..truth.signal_errors import HALF_LIFE, SignalErrors, process_coefficients
-from .states import ACCEL_BIAS, CLOCK_BIAS, GYRO_BIAS, STATES
+from ._augmented_kernels import KINDS, MATRICES, IntArray, couple_errors, write_signal_rows
+from .states import STATES
 
 FloatArray = NDArray[np.float64]
-MATRICES = 27  # elements of M_f, M_w and G
 FIRST = STATES + MATRICES  # first state of what has a `SignalModel`
 IN_RUN = "in_run"  # the kind of its states that the inertial sensors have: biases that wander
 
@@ -61,31 +61,11 @@ class SignalModel(NamedTuple):
         """How many states are biases of inertial sensors; they come first."""
         return 6 if IN_RUN in self.places else 0
 
-    def rows(
-        self, mapping: FloatArray, visible: NDArray[np.bool_], interval_s: float
-    ) -> FloatArray:
-        """(B, 2n, q) rows of the design matrix; `mapping` (B, n, 6) as `compute_mappings` has
-        it."""
-        b, n = visible.shape
-        H, s, places = np.zeros((b, 2 * n, len(self.first))), np.arange(n), self.places
-        for name in ("constant", "correlated", "orbit_clock"):
-            if name in places:
-                H[:, s, places[name] + s] = 1.0
-        if "orbit_clock" in places:
-            H[:, n + s, places["orbit_clock"] + n + s] = 1.0
-        if "smoothed" in places:
-            multipath, noise = mapping[:, :, 4], mapping[:, :, 5]
-            a, b_, c, d = self.smoothed
-            H[:, s, places["smoothed"] + s] = np.hypot(a + b_ * multipath, c + d * noise)
-        for k, (name, sign) in enumerate((("ionosphere", -1.0), ("troposphere", 1.0))):
-            if name in places:
-                j, slant, rate = places[name], mapping[:, :, 2 * k], mapping[:, :, 2 * k + 1]
-                H[:, :n, j] = slant
-                H[:, n:, j], H[:, n:, j + 1] = sign * rate, sign * slant
-        if "carrier" in places:
-            H[:, n + s, places["carrier"] + s] = 1.0 / interval_s
-            H[:, n + s, places["carrier"] + n + s] = -1.0 / interval_s
-        return H * np.hstack([visible, visible])[:, :, None]
+    def tables(self, interval_s: float) -> tuple[IntArray, FloatArray, float]:
+        """First state of every kind, -1 where there is none, amplitudes, and the rate of epochs, as
+        of `append_signals`."""
+        first = np.array([self.places.get(kind, -1) for kind in KINDS])
+        return first, np.array(self.smoothed), 1.0 / interval_s
 
 
 def _kinds(errors: GnssErrors, bias_sd: FloatArray, wandering: bool) -> dict[str, int]:
@@ -196,23 +176,6 @@ class FilterModel(NamedTuple):
     grade: str
 
 
-def couple_errors(
-    transition: FloatArray, imu_delta: FloatArray, tau: FloatArray, inertial: int
-) -> FloatArray:
-    """(B, 17, c) columns of the transition behind those of `receiver.states`, up to the last of
-    the `inertial` ones."""
-    b = len(tau)
-    turned = np.ascontiguousarray(transition[:, :3, GYRO_BIAS : GYRO_BIAS + 3])  # C tau
-    f, w = imu_delta[:, :3] / tau[:, None], imu_delta[:, 3:] / tau[:, None]
-    moved = np.zeros((b, STATES, inertial - STATES))
-    by_force = (turned[:, :, :, None] * f[:, None, None, :]).reshape(b, 3, 9)
-    moved[:, 3:6, :9] = moved[:, :3, 18:MATRICES] = by_force
-    moved[:, :3, 9:18] = (turned[:, :, :, None] * w[:, None, None, :]).reshape(b, 3, 9)
-    if inertial > FIRST:  # wandering biases do what the constant ones do
-        moved[:, :ACCEL_BIAS, MATRICES:] = transition[:, :ACCEL_BIAS, ACCEL_BIAS:CLOCK_BIAS]
-    return moved
-
-
 class Predicted(NamedTuple):
     """What an update needs of the prediction. `gain` (B, N, m) P H'; `S` (B, m, m); `innovation`
     (B, m); `drift` (B, 17) error of the strapdown that matrices and wandering biases have brought;
@@ -246,6 +209,7 @@ class AugmentedFilter:
         self.memory, self.model, self.interval_s = memory, model, interval_s
         b, size = memory.receivers, FIRST + len(model.first)
         self.states, self.inertial = size, FIRST + model.wandering
+        self._tables = model.tables(interval_s)
         memory.declare("augmented_covariance", np.zeros((b, size, size)))
         memory.declare("augmented", np.zeros((b, size - STATES)))
         shapes = {"predicted_cov": size, "design": 2 * channels, "transition": size}
@@ -285,12 +249,14 @@ class AugmentedFilter:
         """Go on by one interval, and form the innovations, as arrays of `Epoch` and the filter."""
         P, a = self.memory["augmented_covariance"], self.memory["augmented"]
         D, inertial = self.model.transition, self.inertial
-        moved = couple_errors(transition, imu_delta, tau, inertial)
-        top = np.concatenate([transition, moved], axis=2)
+        top = np.zeros((len(tau), STATES, inertial))
+        couple_errors(transition, imu_delta, tau, top)
+        moved = np.ascontiguousarray(top[:, :, STATES:])
         self._propagate(P, top, 0.5 * tau[:, None] * noise_psd)
         drift = (moved @ a[:, : inertial - STATES, None])[:, :, 0]
         a[:, MATRICES:] = (D @ a[:, MATRICES:, None])[:, :, 0]
-        signals = self.model.rows(mapping, visible, self.interval_s)
+        signals = np.zeros((*design.shape[:2], len(D)))
+        write_signal_rows(mapping, visible, *self._tables, signals)
         H = np.concatenate([design, np.zeros((*design.shape[:2], MATRICES)), signals], axis=2)
         known = (design @ drift[:, :, None] + signals @ a[:, MATRICES:, None])[:, :, 0]
         self._show(top, H, P)
