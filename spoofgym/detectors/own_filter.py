@@ -123,15 +123,13 @@ class OwnFilter:
 
     def _map_signals(self, epoch: Epoch) -> FloatArray:
         """(B, n, 6) as `compute_mappings` has it, with rates since the last epoch."""
-        memory = self.memory
-        if SLOW.issuperset(self.model.signals.places):
-            return memory["mapping"]
-        sine = np.empty(epoch.visible.shape)
-        compute_sines(epoch.predicted_position, cast(FloatArray, epoch.design), sine)
-        elevation = np.arcsin(np.clip(sine, -1.0, 1.0))
-        last = memory["mapping"]
-        memory["mapping"] = causal_mappings(elevation, epoch.visible, epoch.interval, last)
-        return memory["mapping"]
+        mapping = self.memory["mapping"]
+        if not SLOW.issuperset(self.model.signals.places):
+            sine = np.empty(epoch.visible.shape)
+            compute_sines(epoch.predicted_position, cast(FloatArray, epoch.design), sine)
+            elevation = np.arcsin(np.clip(sine, -1.0, 1.0))
+            mapping[:] = causal_mappings(elevation, epoch.visible, epoch.interval, mapping)
+        return mapping
 
 
 class FilterTest(Detector):

@@ -294,7 +294,7 @@ class TightlyCoupledSimulator(Simulator):
         self._no_axes, self._no_action = np.zeros(0), _kernels.ONE
         self._history = np.zeros((0, self.receivers), dtype=np.bool_)
         self._no_memories = ArrayTable(_kernels.NOTHING_REMEMBERED)
-        self._memories, self._known = self._no_memories, (_kernels.NO_FORM, 0, 0, 0)
+        self._memories, self._known = self._no_memories, (_kernels.NO_FORM, 0, None, None)
         self._outcomes: set[int] = set()
         self._kernel = self.setup.kernel or OWN_KERNEL
 
@@ -506,7 +506,10 @@ class TightlyCoupledSimulator(Simulator):
             what, action = what + _kernels.ATTACK, self.attack.idle if command is None else command
             if action.dtype != np.float64 or not action.flags.carray:
                 action = np.array(action, dtype=np.float64, order="C")
-        known = form, detector, self.attack.memory.stamp, self.detector.memory.stamp
+        # memories that the table does not hold may have changed
+        attacks = None if form == _kernels.NO_FORM else self.attack.memory.stamp
+        judges = None if detector == _kernels.NO_FORM else self.detector.memory.stamp
+        known = form, detector, attacks, judges
         if known != self._known:
             self._memories, self._known = self._memory_table(form, detector), known
         first = self._kernel.nothing
@@ -592,7 +595,7 @@ class TightlyCoupledSimulator(Simulator):
             return super().live_epochs(count, holding=holding)
         if len(self._history) < count:
             self._history = np.zeros((count, self.receivers), dtype=np.bool_)
-            self._known = _kernels.NO_FORM, 0, 0, 0
+            self._known = _kernels.NO_FORM, 0, None, None
         self._run_compiled(detector, None, holding, form, REMEMBER, count=count)
         return self._history[:count].copy()
 
