@@ -10,8 +10,9 @@ import numpy as np
 
 from ..bench.runs.play import Runs, WarmStart, play
 from ..bench.runs.world import World
-from ..detectors import Calibrated, Detector
+from ..detectors import Detector
 from ..detectors.build import bare_detector
+from ..detectors.calibrated import unwrap
 from ..simulation.setup import make_generators
 from ..simulation.tight import TightlyCoupledSetup
 from .stationary import (
@@ -35,12 +36,6 @@ POSITION = {
     "control": "rate",
     "rate_limit_mps": MARGIN * RATES_MPS[-1],
 }
-SUBSET = {**POSITION, "channels": [f"slot{k:02d}" for k in range(0, 12, 2)]}
-PLAYED = dict(zip(ATTACKS, (POSITION, SUBSET), strict=True))
-"""Attacks by the words of `ATTACKS`."""
-MARGIN = 2.0
-"""A filter that has settled follows some attacks less far, so that less of them can be found."""
-POSITION = {"name": "false-position", "control": "rate", "rate_limit_mps": RATES_MPS[-1]}
 SUBSET = {**POSITION, "channels": [f"slot{k:02d}" for k in range(0, 12, 2)]}
 PLAYED = dict(zip(ATTACKS, (POSITION, SUBSET), strict=True))
 """Attacks by the words of `ATTACKS`."""
@@ -89,8 +84,7 @@ def check_ages(
     >>> check_ages("snapshot-chi2").rates_mps
     (0.2, 0.4)
     """
-    unbound = bare_detector(detector)
-    unbound = unbound.detector if isinstance(unbound, Calibrated) else unbound
+    unbound = unwrap(bare_detector(detector))
     if not can_fly(unbound):
         raise ValueError(
             f"{type(unbound).__name__} judges what a tightly coupled receiver does not have; "
