@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,12 @@ from ..simulation.tight import TightlyCoupledSetup
 from .stationary import (
     AGES_S,
     ATTACKS,
-    FOUND,
     RATES_MPS,
     RECEIVERS,
     WATCHED_S,
     Ages,
     FloatArray,
+    find_slowest,
     require_alike,
 )
 
@@ -125,7 +126,8 @@ def fly_ages(unbound: Detector, world: World) -> Ages:
         if clean is None:
             clean = _by_age(play(start, "none").peak)
         level = float(clean[0].max())
-        rate = _find_rate(start.first(RECEIVERS), level)
+        slowest = find_slowest(partial(_find, start.first(RECEIVERS), level))
+        rate = None if slowest is None else MARGIN * slowest
         rates.append(rate)
         none = np.zeros(start.receivers, dtype=np.bool_)
         found.append(_by_age(none if rate is None else _find(start, level, rate)))
@@ -151,14 +153,6 @@ def _start(unbound: Detector, world: World, attack: Mapping[str, Any]) -> WarmSt
 
 def _by_age(values: Any) -> Any:
     return values.reshape(len(AGES_S), RECEIVERS)
-
-
-def _find_rate(start: WarmStart, level: float) -> float | None:
-    """`MARGIN` times the slowest ramp that is found at the first age."""
-    for rate in RATES_MPS:
-        if _find(start, level, rate).mean() >= FOUND:
-            return MARGIN * rate
-    return None
 
 
 def _find(start: WarmStart, level: float, rate_mps: float) -> Any:
