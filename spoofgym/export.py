@@ -364,7 +364,7 @@ def detector(
     size = len(observer.names)
     judge = _Judge(module)
     with evaluating(judge):
-        _check_states(judge, size, len(action_names(statistic, weighs, channels)), states)
+        _check_sizes(judge, size, len(action_names(statistic, weighs, channels)), states)
         content = trace_module(judge, size, states)
         with write_trial(path) as trial:
             trial.write_bytes(content)
@@ -400,13 +400,16 @@ class _Judge(torch.nn.Module):
         return (torch.clamp(action, -1.0, 1.0), *after)
 
 
-def _check_states(judge: _Judge, observed: int, decided: int, states: Mapping[str, int]) -> None:
+def _check_sizes(
+    module: torch.nn.Module, observed: int, decided: int, states: Mapping[str, int]
+) -> None:
+    """Run a module once, and compare what it returns with what is wanted of it."""
     given = [torch.zeros(2, size) for size in (observed, *states.values())]
     form = ", ".join(f"(B, {size})" for size in (observed, *states.values()))
     wanted = ", ".join(f"(B, {size})" for size in (decided, *states.values()))
     try:
         with torch.no_grad():
-            found = judge(*given)
+            found = module(*given)
     except (RuntimeError, TypeError, ValueError) as error:
         first = str(error).strip().partition("\n")[0]
         raise ValueError(
@@ -526,7 +529,7 @@ def onnx(
     own = [] if judges else own_columns(inner.core.observer.names)
     actor = Actor(model, normalization or get_normalization(model), amplitude, len(low), own)
     with evaluating(actor):
-        _check_sizes(actor, len(low), len(inner.core.action_names))
+        _check_sizes(actor, len(low), len(inner.core.action_names), {})
         content = trace_module(actor, len(low))
     details = {**_describe_training(model), "amplitude": amplitude, **(training or {})}
     with write_trial(path) as trial:
@@ -542,20 +545,6 @@ def onnx(
         _compare(model, normalization, act, low, high, amplitude, own)
     _write(path, content, card)
     return card
-
-
-def _check_sizes(actor: torch.nn.Module, observed: int, commanded: int) -> None:
-    try:
-        with torch.no_grad():
-            found = actor(torch.zeros(2, observed))
-    except RuntimeError as error:
-        first = str(error).strip().partition("\n")[0]
-        raise ValueError(f"the model can't be run with {observed} observations: {first}") from error
-    if tuple(found.shape) != (2, commanded):
-        raise ValueError(
-            f"the model must return actions of shape (B, {commanded}), got {tuple(found.shape)} "
-            "for 2 observations"
-        )
 
 
 def _describe_training(model: Any) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from ..core.progress import ProgressBar, no_progress
 from ..core.registry import whole_number
 from ..detectors import DETECTORS, Calibrated, Detector
 from ..detectors.build import bare_detector
-from ..detectors.calibrated import STANDARD_RATE, check_drifts, describe_identity
+from ..detectors.calibrated import STANDARD_RATE, check_drifts, describe_identity, unwrap
 from ..detectors.calibration_file import (
     STANDARD_RATES,
     Calibration,
@@ -142,7 +142,7 @@ def inner_detectors(specs: DetectorSpec | Iterable[DetectorSpec]) -> list[Detect
     for spec in specs:
         made = bare_detector(spec)
         for each in made.judges or (made,):
-            inner = each.detector if isinstance(each, Calibrated) else each
+            inner = unwrap(each)
             if inner.calibrates:
                 found.setdefault(repr(describe_identity(inner)), inner)
     return list(found.values())

@@ -7,7 +7,6 @@ these come the checks of a new record, the parameters of the docstring and the r
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import inspect
 import math
 import re
@@ -20,7 +19,7 @@ from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
 
-from .registry import is_number
+from .registry import is_number, suggest_name
 from .settings import NEWER, OMITTED
 
 T = TypeVar("T")
@@ -55,8 +54,7 @@ class Setting:
         kinds = set(split_union(annotation))
         if (value is None and "None" in kinds) or self._is_valid(value, kinds):
             return
-        near = difflib.get_close_matches(str(value), self.one_of, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        hint = suggest_name(value, self.one_of)
         raise ValueError(f"`{name}` must be {self.valid(annotation)}, got {value!r}{hint}")
 
     def _is_valid(self, value: Any, kinds: set[str]) -> bool:

@@ -27,6 +27,12 @@ def require(good: object, message: str) -> None:
         raise ValueError(message)
 
 
+def suggest_name(value: object, names: Iterable[str]) -> str:
+    """End of a message: which of the names is nearly the one that was given."""
+    near = difflib.get_close_matches(str(value), list(names), n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
 def check_choice(
     word: str, value: str, valid: Iterable[str], renamed: Mapping[str, str] | None = None
 ) -> None:
@@ -35,8 +41,7 @@ def check_choice(
     if value not in names:
         if renamed and value in renamed:
             raise ValueError(f"{word} {value!r} is now called {renamed[value]!r}")
-        near = difflib.get_close_matches(str(value), names, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        hint = suggest_name(value, names)
         raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")
 
 
@@ -142,11 +147,8 @@ def check_keywords(
         whose = whose.__name__
     for name in given:
         if name not in names:
-            near = difflib.get_close_matches(name, names, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise TypeError(
-                f"{whose} has no argument {name!r}; valid: {', '.join(sorted(names))}{hint}"
-            )
+            valid, hint = ", ".join(sorted(names)), suggest_name(name, names)
+            raise TypeError(f"{whose} has no argument {name!r}; valid: {valid}{hint}")
 
 
 Spec = dict[str, Any]

@@ -21,6 +21,7 @@ chooses lane by lane, and `any_lane` tests whether it holds anywhere.
 
 from __future__ import annotations
 
+import inspect
 import operator
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -97,13 +98,13 @@ def _define(
     function: Callable[..., Any],
     result: Callable[..., types.Type | None],
     emit: Callable[..., Any],
-    arity: int,
     *,
     of_vectors: bool = False,
 ) -> None:
     """Compile calls of a function by `emit`, where `result` knows the type that comes out.
     ``result(*types)`` gives it, or None for arguments that are not for it; ``emit(context, builder,
     types, values)`` the LLVM value. Operators are defined `of_vectors` alone."""
+    arity = len(inspect.signature(function).parameters)
 
     @infer_global(function)
     class _Template(AbstractTemplate):  # type: ignore[misc]
@@ -170,7 +171,7 @@ def _binary(
         return method(predicate, *operands) if predicate else method(*operands)
 
     for function in functions:
-        _define(function, infer_kind, emit, 2, of_vectors=True)
+        _define(function, infer_kind, emit, of_vectors=True)
 
 
 for _name, _emits in {
@@ -194,7 +195,6 @@ _define(
     operator.neg,
     lambda x: x if isinstance(x, _Vector) and x.element is REAL else None,
     lambda context, builder, given, values: builder.fneg(values[0]),
-    1,
     of_vectors=True,
 )
 
@@ -296,13 +296,11 @@ _define(
     load,
     lambda array, row: _row_kind(array) if isinstance(row, types.Integer) else None,
     _emit_load,
-    2,
 )
 _define(
     store,
     lambda array, row, value: types.none if _can_store(array, value) else None,
     _emit_store,
-    3,
 )
 _define(
     load_pair,
@@ -310,7 +308,6 @@ _define(
     lambda context, builder, given, values: _emit_load(
         context, builder, given, values, _pair_kind(*given)
     ),
-    2,
 )
 _define(
     pair_lanes,
@@ -318,7 +315,6 @@ _define(
     lambda context, builder, given, values: builder.shuffle_vector(
         values[0], values[0], _indices([*range(LANES), *range(LANES)])
     ),
-    1,
 )
 
 
@@ -345,7 +341,6 @@ _define(
     lambda context, builder, given, values: _cast(
         context, builder, values[0], given[0], _splat_kind(*given)
     ),
-    2,
 )
 
 
@@ -361,7 +356,7 @@ def _unary(
     def lower(context: Any, builder: Any, given: Any, values: Any) -> Any:
         return emit(builder, values[0], given[0], given_kinds[given[0]])
 
-    _define(function, given_kinds.get, lower, 1)
+    _define(function, given_kinds.get, lower)
 
 
 def _intrinsic(name: str) -> Callable[[Any, Any, types.Type, types.Type], Any]:
@@ -451,7 +446,7 @@ def _emit_select(context: Any, builder: Any, given: Any, values: Any) -> Any:
     return builder.select(mask, x, y)
 
 
-_define(select, _select_kind, _emit_select, 3)
+_define(select, _select_kind, _emit_select)
 
 
 def any_lane(mask: Any) -> bool:
@@ -469,12 +464,7 @@ def _is_mask(kind: types.Type) -> bool:
     return isinstance(kind, types.Boolean) or (isinstance(kind, _Vector) and kind.element is MASK)
 
 
-_define(
-    any_lane,
-    lambda mask: types.boolean if _is_mask(mask) else None,
-    _emit_any,
-    1,
-)
+_define(any_lane, lambda mask: types.boolean if _is_mask(mask) else None, _emit_any)
 
 
 def rotate_left(x: Any, turn: int) -> Any:
@@ -497,7 +487,6 @@ _define(
     rotate_left,
     lambda x, turn: x if x in _TO_REAL and isinstance(turn, types.Integer) else None,
     _emit_rotate,
-    2,
 )
 
 
@@ -537,19 +526,16 @@ _define(
     count_lanes,
     lambda array: types.intp if isinstance(array, types.Array) else None,
     lambda context, builder, given, values: ir.Constant(ir.IntType(64), count_lanes(given[0])),
-    1,
 )
 _define(
     lane,
     lambda array, row, index: None if _row_kind(array) is None else array.dtype,
     lambda *lowering: lowering[1].load(_lane_address(*lowering)),
-    3,
 )
 _define(
     set_lane,
     lambda array, row, index, value: None if _row_kind(array) is None else types.none,
     _emit_set_lane,
-    4,
 )
 
 
@@ -609,9 +595,9 @@ def words_at(entries: Any, index: int, like: Any) -> Any:
     return _array(entries, index, np.uint64, like.ndim == 2)
 
 
-def _define_reader(function: Callable[..., Any], element: types.Type, arity: int) -> None:
+def _define_reader(function: Callable[..., Any], element: types.Type) -> None:
     def infer_kind(*given: types.Type) -> types.Array:
-        return types.Array(element, given[2].ndim if arity == 3 else 1, "C")
+        return types.Array(element, given[2].ndim if len(given) == 3 else 1, "C")
 
     def emit(context: Any, builder: Any, given: Any, values: Any) -> Any:
         def number(value: int) -> Any:
@@ -640,15 +626,15 @@ def _define_reader(function: Callable[..., Any], element: types.Type, arity: int
         )
         return array._getvalue()
 
-    _define(function, infer_kind, emit, arity)
+    _define(function, infer_kind, emit)
 
 
-for _reader, _element, _arity in (
-    (floats_at, types.float64, 2),
-    (singles_at, types.float32, 2),
-    (integers_at, types.int64, 2),
-    (flags_at, types.boolean, 2),
-    (rows_at, types.float64, 3),
-    (words_at, types.uint64, 3),
+for _reader, _element in (
+    (floats_at, types.float64),
+    (singles_at, types.float32),
+    (integers_at, types.int64),
+    (flags_at, types.boolean),
+    (rows_at, types.float64),
+    (words_at, types.uint64),
 ):
-    _define_reader(_reader, _element, _arity)
+    _define_reader(_reader, _element)

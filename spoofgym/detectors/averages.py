@@ -76,7 +76,7 @@ monitor tests the filter's innovations, and needs no solution of its own.
 from __future__ import annotations
 
 import math
-from typing import ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -93,6 +93,7 @@ from .base import (
     compare,
 )
 from .innovation import (
+    OF_ONE_SATELLITE,
     InnovationTest,
     alarm_probability,
     chi2_thresholds,
@@ -107,11 +108,26 @@ from .own_filter import filter_to_test
 SHAPES = ("step", "ramp")
 
 
+def window_lengths(*default_s: float) -> Any:
+    return setting(
+        default=default_s,
+        above=0.0,
+        increasing=True,
+        unit="s",
+        help="Lengths of the windows.  While a run is younger than a window the test takes what "
+        "there is.",
+    )
+
+
+@settings_record
 class WindowsTest(InnovationTest):
     """Base of tests over windows of several lengths, each with its share of false alarms."""
 
-    false_alarm: float
-    windows_s: tuple[float, ...]
+    false_alarm: float = alarm_probability(
+        help="Probability of an alarm in one epoch where the filter's belief is right; shared "
+        "out to the windows, so that the true one is somewhat smaller."
+    )
+    windows_s: tuple[float, ...] = window_lengths(5.0, 25.0, 75.0)
 
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
 
@@ -166,18 +182,6 @@ class Aime(WindowsTest):
     """Chi-square of the average innovation over several windows, for the whole receiver."""
 
     described_as = "Aime"
-    false_alarm: float = alarm_probability(
-        help="Probability of an alarm in one epoch where the filter's belief is right; shared "
-        "out to the windows, so that the true one is somewhat smaller."
-    )
-    windows_s: tuple[float, ...] = setting(
-        default=(5.0, 25.0, 75.0),
-        above=0.0,
-        increasing=True,
-        unit="s",
-        help="Lengths of the windows.  While a run is younger than a window the test takes what "
-        "there is.",
-    )
     signals: str = signals_to_test("pseudorange")
     bias_window_s: float = first_window()
 
@@ -187,7 +191,7 @@ class Aime(WindowsTest):
         super().bind(context)
         first, last = self._rows
         shape = (context.receivers, self._longest + 1, last - first)
-        self._declare(
+        self.memory.declare_all(
             sums=np.zeros(shape),
             counts=np.zeros(shape, dtype=np.int64),
             place=np.zeros(context.receivers, dtype=np.int64),
@@ -237,18 +241,7 @@ class CumulativeBank(WindowsTest):
     """Chi-square of the innovations of windows of several lengths, for the whole receiver."""
 
     described_as = "CumulativeBank"
-    false_alarm: float = alarm_probability(
-        help="Probability of an alarm in one epoch where the filter's belief is right; shared "
-        "out to the windows, so that the true one is somewhat smaller."
-    )
-    windows_s: tuple[float, ...] = setting(
-        default=(5.0, 15.0, 30.0, 75.0, 150.0),
-        above=0.0,
-        increasing=True,
-        unit="s",
-        help="Lengths of the windows.  While a run is younger than a window the test takes what "
-        "there is.",
-    )
+    windows_s: tuple[float, ...] = window_lengths(5.0, 15.0, 30.0, 75.0, 150.0)
     signals: str = signals_to_test("both")
     bias_window_s: float = first_window()
     filter: str = filter_to_test()
@@ -315,10 +308,7 @@ class FiniteMovingAverage(InnovationTest):
     """Normalized sum of every satellite's innovations over a window; monitor only."""
 
     described_as = "FiniteMovingAverage"
-    false_alarm: float = alarm_probability(
-        help="Probability of an alarm of one satellite in one epoch where the filter's belief is "
-        "right."
-    )
+    false_alarm: float = alarm_probability(help=OF_ONE_SATELLITE)
     window_s: float = setting(
         default=10.0,
         least=1e-3,
@@ -341,7 +331,7 @@ class FiniteMovingAverage(InnovationTest):
         self.memory_epochs = self._bias_window + window
         self._shape = self.compute_weights(window)
         self._quantile = two_sided_quantile(self.false_alarm / self._per_satellite)
-        self._declare(
+        self.memory.declare_all(
             values=np.zeros((b, last - first, window)),
             present=np.zeros((b, n, window), dtype=np.bool_),
             place=np.zeros(b, dtype=np.int64),
@@ -472,7 +462,7 @@ class ClockDrift(InnovationTest):
         self._threshold = float(chi2_thresholds(self.false_alarm, 2)[signals])
         b, window = context.receivers, count_epochs(self.window_s, context)
         self.memory_epochs = self._bias_window + window
-        self._declare(
+        self.memory.declare_all(
             past=np.zeros((b, window, signals)),
             taken=np.zeros((b, window), dtype=np.bool_),
             place=np.zeros(b, dtype=np.int64),

@@ -31,6 +31,11 @@ DETECTORS: dict[str, type[Detector]] = {}
 """Detectors by name; the package has them all."""
 
 
+def find_name(kind: type[Detector]) -> str | None:
+    """Registered name of a class of detectors."""
+    return next((name for name, each in DETECTORS.items() if each is kind), None)
+
+
 class Verdict(NamedTuple):
     """Judgement of an epoch by a detector.
 
@@ -204,11 +209,6 @@ class Detector(ABC):
                 f"{measured}"
             )
         self.memory, self.judged_rows = Memory(context.receivers), None
-
-    def _declare(self, **initial: NDArray[Any]) -> None:
-        """Declare arrays of the memory, as `bind` does, by name."""
-        for name, array in initial.items():
-            self.memory.declare(name, array)
 
     def is_armed(self, epoch: Epoch) -> NDArray[np.bool_] | None:
         """Whose alarms are on at an epoch.

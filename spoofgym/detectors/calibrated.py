@@ -17,7 +17,6 @@ believes.  That is for tests with a drift term, whose sums a factor on the thres
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import json
 import shlex
 import warnings
@@ -27,9 +26,19 @@ import numpy as np
 
 from ..core.compile import njit
 from ..core.declared import setting, settings_record
+from ..core.registry import inspect_settings
 from ..core.settings import list_written, outside_sources
 from ..receiver.epoch import Epoch
-from .base import DETECTORS, BoolArray, Detector, DetectorContext, FloatArray, Verdict, compare
+from .base import (
+    DETECTORS,
+    BoolArray,
+    Detector,
+    DetectorContext,
+    FloatArray,
+    Verdict,
+    compare,
+    find_name,
+)
 from .calibration_file import (
     Calibration,
     Conditions,
@@ -248,12 +257,12 @@ def collect_settings(detector: Detector) -> dict[str, Any]:
     """Settings of a detector that are not its defaults, as far as they are JSON-able."""
     if hasattr(detector, "spec"):
         return dict(detector.spec)
-    own = inspect.signature(type(detector)).parameters
-    given = {key: getattr(detector, key, each.default) for key, each in own.items()}
     if hasattr(detector, "identity"):
         return {}
+    defaults = inspect_settings(type(detector))
+    given = {key: getattr(detector, key, default) for key, default in defaults.items()}
     try:
-        return {key: describe_as_json(x) for key, x in given.items() if x != own[key].default}
+        return {key: describe_as_json(x) for key, x in given.items() if x != defaults[key]}
     except (TypeError, ValueError):
         return {}
 
@@ -282,8 +291,7 @@ def calibration_command(
 
 def name_kind(kind: type[Detector]) -> str:
     """Registered name of a class of detectors, or ``"module:Class"``."""
-    names = {cls: name for name, cls in DETECTORS.items()}
-    return names.get(kind, f"{kind.__module__}:{kind.__qualname__}")
+    return find_name(kind) or f"{kind.__module__}:{kind.__qualname__}"
 
 
 def check_drifts(detector: Detector) -> None:
@@ -349,25 +357,23 @@ def describe_identity(detector: Detector) -> dict[str, Any]:
         return dict(describe_as_json(own()))
     kind = type(detector)
     name = name_kind(kind)
-    parameters = inspect.signature(kind).parameters.values()
-    spread = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-    settings = {p.name for p in parameters if p.kind not in spread} - {"alarm_scale"}
+    settings = {*inspect_settings(kind)} - {"alarm_scale"}
     missing = sorted(key for key in settings if not hasattr(detector, key))
     if missing:
         raise TypeError(
             f"detector {name!r} must keep its settings under their names to be calibrated; it has "
             f"no {', '.join(map(repr, missing))}"
         )
-    found = {
-        "name": name,
-        **{
-            key: describe_as_json(getattr(detector, key))
-            for key in list_written(detector, sorted(settings))
-        },
-    }
+    written = list_written(detector, sorted(settings))
+    found = {"name": name, **{key: describe_as_json(getattr(detector, key)) for key in written}}
     sources = {} if kind in DETECTORS.values() else outside_sources(detector)
     readable = {name: digest for name, digest in sources.items() if digest is not None}
     return {**found, "sources": readable} if readable else found
+
+
+def unwrap(detector: Detector) -> Any:
+    """A detector without a factor on its thresholds."""
+    return detector.detector if isinstance(detector, Calibrated) else detector
 
 
 def calibrated_parts(detector: Detector) -> list[Calibrated]:

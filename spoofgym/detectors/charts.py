@@ -76,6 +76,7 @@ from ..core.declared import setting, settings_record
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, IntArray, Verdict, compare
 from .innovation import (
+    OF_ONE_SATELLITE,
     InnovationTest,
     alarm_probability,
     average_smoothing,
@@ -161,9 +162,7 @@ class Ewma(WeighingChart):
 
     described_as = "Ewma"
     smoothing: float = average_smoothing()
-    false_alarm: float = alarm_probability(
-        help="Alpha: probability of an alarm of one satellite in one epoch."
-    )
+    false_alarm: float = alarm_probability(help=OF_ONE_SATELLITE)
     weight_scale: float | None = weight_limit(
         0.3, "Factor m: the weight thresholds are m T and m T / 2.  None for a passive chart."
     )
@@ -174,7 +173,7 @@ class Ewma(WeighingChart):
         super().bind(context)
         shape = (context.receivers, context.channels)
         self.memory_epochs = epochs_to_settle(self.smoothing)
-        self._declare(average=np.zeros(shape), decay=np.ones(shape))
+        self.memory.declare_all(average=np.zeros(shape), decay=np.ones(shape))
         limited = self.max_exclusion_s is not None or self.min_satellites > 0
         self.limits_exclusions = limited and self.weight_scale is not None
         if self.limits_exclusions:
@@ -283,9 +282,7 @@ class JointChart(WeighingChart):
 
     described_as = "JointChart"
     smoothing: float = average_smoothing()
-    false_alarm: float = alarm_probability(
-        help="Alpha: probability of an alarm of one satellite in one epoch."
-    )
+    false_alarm: float = alarm_probability(help=OF_ONE_SATELLITE)
     weight_scale: float | None = weight_limit(
         0.3, "Factor m: the weight thresholds are m T and m T / 2.  None for a passive chart."
     )
@@ -305,7 +302,7 @@ class JointChart(WeighingChart):
         super().bind(context)
         shape = (context.receivers, context.channels)
         self.memory_epochs = epochs_to_settle(self.smoothing)
-        self._declare(
+        self.memory.declare_all(
             average=np.zeros(shape),
             decay=np.ones(shape),
             ratios=np.zeros((*shape, 2)),
@@ -365,9 +362,7 @@ class Shewhart(WeighingChart, InnovationTest):
     """Every satellite's innovation against its own standard deviation."""
 
     described_as = "Shewhart"
-    false_alarm: float = alarm_probability(
-        help="Alpha: probability of an alarm of one satellite in one epoch."
-    )
+    false_alarm: float = alarm_probability(help=OF_ONE_SATELLITE)
     weight_scale: float | None = weight_limit(
         None,
         "Factor m: the pseudorange gets no weight from m times the threshold on, and less than 1 "

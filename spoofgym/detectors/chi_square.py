@@ -226,7 +226,7 @@ class WindowedChi2(InnovationTest):
                 np.maximum(degrees, 1).astype(np.float64),
             )
         self.silent_epochs, self.memory_epochs = hold, hold + 1
-        self._declare(
+        self.memory.declare_all(
             past=np.zeros((b, self.window)),
             past_rows=np.zeros((b, self.window), dtype=np.int64),
             seen=np.zeros(b, dtype=np.int64),
@@ -310,7 +310,7 @@ class SequentialChi2(InnovationTest):
         super().bind(context)
         b = context.receivers
         if self.window_s is None:
-            self._declare(total=np.zeros(b), degrees=np.zeros(b))
+            self.memory.declare_all(total=np.zeros(b), degrees=np.zeros(b))
         else:
             window = count_epochs(self.window_s, context)
             self.memory_epochs = self._bias_window + window

@@ -64,7 +64,7 @@ class Lottery(Detector):
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
-        self._declare(since=np.zeros(context.receivers), wait=np.zeros(context.receivers))
+        self.memory.declare_all(since=np.zeros(context.receivers), wait=np.zeros(context.receivers))
 
     def judge(self, epoch: Epoch) -> Verdict:
         since, wait = self.memory["since"], self.memory["wait"]

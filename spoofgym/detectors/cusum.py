@@ -98,7 +98,7 @@ class Cusum(InnovationTest):
         super().bind(context)
         first, last = self._rows
         shape = (context.receivers, last - first)
-        self._declare(above=np.zeros(shape), below=np.zeros(shape))
+        self.memory.declare_all(above=np.zeros(shape), below=np.zeros(shape))
 
     def judge(self, epoch: Epoch) -> Verdict:
         innovation, judged = self._without_bias(epoch)
@@ -188,7 +188,7 @@ class LagCusum(InnovationTest):
         receivers, n = context.receivers, context.channels
         series = (receivers, self._per_satellite * n)
         self.memory_epochs = self.lag + self.baseline + 1
-        self._declare(
+        self.memory.declare_all(
             ring=np.zeros((*series, self.memory_epochs)),
             base=np.zeros(series),
             above=np.zeros(series),

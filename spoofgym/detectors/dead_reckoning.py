@@ -231,7 +231,7 @@ class Acna(Detector):
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         b = context.receivers
-        self._declare(
+        self.memory.declare_all(
             run=np.zeros((b, self.jump_window)),
             window=np.zeros((b, self.slow_window)),
             passes=np.zeros((b, self.readmission_fixes)),

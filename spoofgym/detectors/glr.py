@@ -234,7 +234,7 @@ class _Glr(InnovationTest):
         receivers, n = context.receivers, context.channels
         series = (receivers, self._per_satellite * n)
         self.memory_epochs = self.window + self.baseline
-        self._declare(
+        self.memory.declare_all(
             sums=np.zeros((*series, 2 * (self.memory_epochs + 1))),
             areas=np.zeros((*series, 2 * (self.window + 1) if self.ramp else 1)),
             count=np.zeros((receivers, n), dtype=np.int64),

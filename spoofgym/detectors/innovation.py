@@ -38,6 +38,7 @@ from .base import BoolArray, DetectorContext, FloatArray, IntArray, cholesky_of_
 from .own_filter import FilterTest
 
 SIGNALS = ("pseudorange", "range_rate", "both")
+OF_ONE_SATELLITE = "Alpha: probability of an alarm of one satellite in one epoch."
 
 
 def alarm_probability(
@@ -261,7 +262,7 @@ class InnovationTest(FilterTest):
         if self.bias_window_s > 0.0:
             self._bias_window = count_epochs(self.bias_window_s, context)
             self.silent_epochs = self.memory_epochs = self._bias_window
-            self._declare(bias_epochs=np.zeros((b, n)), bias_sum=np.zeros((b, 2 * n)))
+            self.memory.declare_all(bias_epochs=np.zeros((b, n)), bias_sum=np.zeros((b, 2 * n)))
 
     def _without_bias(self, epoch: Epoch) -> tuple[FloatArray, BoolArray]:
         """Innovations (B, 2n), and the channels (B, n) to judge; once per epoch."""
@@ -285,7 +286,7 @@ class InnovationTest(FilterTest):
 
     def _declare_squares(self, receivers: int, window: int) -> None:
         """Declare the memory of `remember_squares`, which is `_squares`."""
-        self._declare(
+        self.memory.declare_all(
             squares=np.zeros((receivers, window)),
             counts=np.zeros((receivers, window)),
             place=np.zeros(receivers, dtype=np.int64),

@@ -315,7 +315,7 @@ class InnovationRate(Detector):
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         shape = (context.receivers, context.channels)
-        self._declare(
+        self.memory.declare_all(
             state=np.zeros((*shape, 3)),
             covariance=np.tile(FIRST_COVARIANCE, (*shape, 1)),
             excluded_s=np.zeros(shape),

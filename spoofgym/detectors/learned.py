@@ -321,17 +321,13 @@ def detector_card(
     channels: int,
     file: str | os.PathLike[str],
     *,
-    name: str,
-    interval_s: float,
-    quiet_epochs: int,
     decision_delay: int = 0,
     state: Mapping[str, int] | None = None,
-    threshold: float | None = None,
-    calibration: Mapping[str, Any] | None = None,
     training: Mapping[str, Any] | None = None,
+    **fields: Any,
 ) -> DetectorCard:
     """Card of an ONNX file for what an agent observes and decides, not written yet. `state`: sizes
-    by name."""
+    by name; `fields`: others of the card."""
     content, where = Path(file).read_bytes(), os.fspath(file)
     card_path(file)
     observer = DetectorObserver(agent.observed_terms, channels)
@@ -339,20 +335,15 @@ def detector_card(
     states = tuple(State(name=key, size=size) for key, size in (state or {}).items())
     check_signature(read_model(content, where), len(observer.names), len(names), where, states)
     low, high = (tuple(side.tolist()) for side in (observer.low, observer.high))
-    fields: dict[str, Any] = {"statistic": agent.statistic, "decision_delay": decision_delay}
+    fields |= {"statistic": agent.statistic, "decision_delay": decision_delay}
     return DetectorCard(
-        name=name,
         observation=Space(names=observer.names, low=low, high=high),
         action=Space(names=names, low=(-1.0,) * len(names), high=(1.0,) * len(names)),
         weighs=agent.weighs,
         exclusion_s=agent.exclusion_s,
         terms=written_terms(agent.observed_terms),
         state=states,
-        quiet_epochs=quiet_epochs,
         channels=channels,
-        interval_s=interval_s,
-        threshold=threshold,
-        calibration=dict(calibration or {}),
         training=dict(training or {}),
         file=describe_file(Path(file).name, content),
         **fields,

@@ -20,7 +20,7 @@ from ..core.registry import build, build_spec
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from ..receiver.epoch import Epoch
 from ..receiver.kalman import normalized_innovation_squared
-from .base import DETECTORS, Detector, DetectorContext, FloatArray, judge_epoch
+from .base import Detector, DetectorContext, FloatArray, find_name, judge_epoch
 from .build import make_detector
 from .calibrated import Calibrated
 from .innovation import average_smoothing
@@ -300,8 +300,8 @@ class Classic(_Term):
 
     def __post_init__(self) -> None:
         made = make_detector(self.detector)
-        kinds = {kind: name for name, kind in DETECTORS.items()}
-        if isinstance(made, Calibrated) or made.judges or type(made) not in kinds:
+        name = find_name(type(made))
+        if isinstance(made, Calibrated) or made.judges or name is None:
             raise ValueError(
                 "`detector` of a classic term must be one of the package with its nominal "
                 f"thresholds, and neither a pool nor a learned one, got {self.detector!r}"
@@ -315,7 +315,7 @@ class Classic(_Term):
         object.__setattr__(self, "_judge", made)
         object.__setattr__(self, "needs", made.needs)
         if self.label is None:
-            object.__setattr__(self, "label", kinds[type(made)].replace("-", "_"))
+            object.__setattr__(self, "label", name.replace("-", "_"))
 
     def names(self, channels: int) -> tuple[str, ...]:
         word = f"classic_{self.label}"

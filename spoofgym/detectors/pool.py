@@ -14,7 +14,6 @@ from ..core.memory import Memory
 from ..core.settings import list_written
 from ..receiver.epoch import Epoch
 from .base import (
-    DETECTORS,
     BoolArray,
     Detector,
     DetectorContext,
@@ -22,10 +21,11 @@ from .base import (
     IntArray,
     Verdict,
     check_needs,
+    find_name,
     judge_epoch,
 )
 from .build import make_detector, spec_with_thresholds
-from .calibrated import Calibrated
+from .calibrated import unwrap
 
 NATURE, OPPONENT = 1, 2
 """What is drawn for an episode: whether it is attacked, and by which opponent."""
@@ -88,8 +88,7 @@ class JointMemory(Memory):
 
 def _describe_member(member: Any, detector: Detector) -> Any:
     """Name and all settings of a detector that has a name; what was given of any other."""
-    inner: Any = detector.detector if isinstance(detector, Calibrated) else detector
-    name = next((name for name, kind in DETECTORS.items() if type(inner) is kind), None)
+    name = find_name(type(unwrap(detector)))
     if name is None:
         return member
 

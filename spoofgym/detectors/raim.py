@@ -81,34 +81,32 @@ MAX_SATELLITES = 63  # as many fit into a mask
 LARGEST_GROUP = 6  # half of 12 satellites
 
 
-def noise_setting() -> Any:
+def exclusion(help: str) -> Any:
     return setting(
+        default=False,
+        help=f"Whether {help} weights 0, pseudorange and range rate, as long as the alarm lasts.",
+    )
+
+
+@settings_record
+class ConsistencyTest(Detector):
+    """Residual test of all satellites in view; after an alarm, a search of groups that agree."""
+
+    sigma_m: float | None = setting(
         default=None,
         above=0.0,
         unit="m",
         help="Noise of a pseudorange; None takes what the receiver assumes.",
     )
-
-
-def search_confidence() -> Any:
-    return setting(
+    confidence: float = setting(
         default=0.95,
         above=0.0,
         below=1.0,
         help="Probability that satellites that agree pass for it in the search.",
     )
+    false_alarm: float = alarm_probability(help="Probability of an alarm in one epoch.")
 
-
-class ConsistencyTest(Detector):
-    """Residual test of all satellites in view; after an alarm, a search of groups that agree. A
-    subclass is a dataclass with the settings below, which `Raim` describes."""
-
-    sigma_m: float | None
-    confidence: float
-    false_alarm: float
-    exclude: bool
-    frame: str = "ecef"
-
+    exclude, frame = False, "ecef"  # settings of subclasses
     needs: ClassVar[frozenset[str]] = frozenset({"pseudorange", "satellite_position"})
 
     def bind(self, context: DetectorContext) -> None:
@@ -199,14 +197,7 @@ class Raim(ConsistencyTest):
     """
 
     described_as = "Raim"
-    sigma_m: float | None = noise_setting()
-    confidence: float = search_confidence()
-    false_alarm: float = alarm_probability(help="Probability of an alarm in one epoch.")
-    exclude: bool = setting(
-        default=False,
-        help="Whether the satellite to blame has weights 0, pseudorange and range rate, as long "
-        "as the alarm lasts.",
-    )
+    exclude: bool = exclusion("the satellite to blame has")
 
     paper: ClassVar[str] = "brown1992"
 
@@ -372,15 +363,8 @@ class SrvRaim(ConsistencyTest):
     """
 
     described_as = "SrvRaim"
-    sigma_m: float | None = noise_setting()
-    confidence: float = search_confidence()
-    false_alarm: float = alarm_probability(help="Probability of an alarm in one epoch.")
     frame: str = setting(default="ned", one_of=("ned", "ecef"), help="Axes of the search vectors.")
-    exclude: bool = setting(
-        default=False,
-        help="Whether the second group has weights 0, pseudoranges and range rates, as long as "
-        "the alarm lasts.  It may be the authentic one.",
-    )
+    exclude: bool = exclusion("the second group, which may be the authentic one, has")
 
     paper: ClassVar[str] = "wu2024"
 
@@ -484,17 +468,10 @@ class TraversalRaim(ConsistencyTest):
     """
 
     described_as = "TraversalRaim"
-    sigma_m: float | None = noise_setting()
-    confidence: float = search_confidence()
-    false_alarm: float = alarm_probability(help="Probability of an alarm in one epoch.")
     largest_group: int = setting(
         default=LARGEST_GROUP, least=1, help="Most satellites to leave out."
     )
-    exclude: bool = setting(
-        default=False,
-        help="Whether those left out have weights 0, pseudoranges and range rates, as long as "
-        "the alarm lasts.  They may be the authentic ones.",
-    )
+    exclude: bool = exclusion("those left out, which may be the authentic ones, have")
 
     paper: ClassVar[str] = "wu2024"
 

@@ -180,14 +180,16 @@ class SolutionSeparation(FilterTest):
         # a solution starts again by the largest step between two starts of the oldest ones
         self._covers = self.memory_epochs - int(firsts[1] - firsts[0])
         self._threshold = float(special.chdtri(2.0, self.false_alarm / bank))
-        self._declare(epochs=np.zeros(b, dtype=np.int64), largest_sd=np.full((b, bank), np.inf))
+        self.memory.declare_all(
+            epochs=np.zeros(b, dtype=np.int64), largest_sd=np.full((b, bank), np.inf)
+        )
         if self._own is None:
             shapes = {"separation": (tracked, bank), "covariance": (tracked, tracked, bank)}
         else:
             self._spacing, others = spacing, tracked - STATES
             self._rest = np.ascontiguousarray(self._own.rest[:others, :others])
             shapes = anchored_shapes(bank, tracked)
-        self._declare(**{name: np.zeros((b, *shape)) for name, shape in shapes.items()})
+        self.memory.declare_all(**{name: np.zeros((b, *shape)) for name, shape in shapes.items()})
 
     def judge(self, epoch: Epoch) -> Verdict:
         memory, epoch = self.memory, self._filtered(epoch)

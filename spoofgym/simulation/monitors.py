@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.memory import Memory
-from ..detectors import DETECTORS, Calibrated, Detector, Verdict
-from ..detectors.base import check_needs, judge_epoch
+from ..detectors import Detector, Verdict
+from ..detectors.base import check_needs, find_name, judge_epoch
+from ..detectors.calibrated import unwrap
 from ..receiver.epoch import ALWAYS, Epoch, frozen, select_receiver
 from ._kernels import latest_reports
 
@@ -168,11 +169,13 @@ def needed_monitors(terms: Iterable[Any]) -> list[Monitor]:
     return [kind() for kind in kinds]
 
 
+def name_detector(detector: Detector) -> str:
+    detector = unwrap(detector)
+    return detector.label or find_name(type(detector)) or type(detector).__name__
+
+
 def name_detectors(detectors: Sequence[Detector]) -> tuple[str, ...]:
-    known = {kind: name for name, kind in DETECTORS.items()}
-    detectors = [d.detector if isinstance(d, Calibrated) else d for d in detectors]
-    named = [d.label or known.get(type(d), type(d).__name__) for d in detectors]
-    words = [name.replace("-", "_").lower() for name in named]
+    words = [name_detector(each).replace("-", "_").lower() for each in detectors]
     before = ((word, words[:k].count(word)) for k, word in enumerate(words))
     return tuple(f"{word}_{count + 1}" if count else word for word, count in before)
 

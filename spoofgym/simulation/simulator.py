@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..core.declared import check_number
 from ..core.memory import Memory
 from ..core.registry import require
-from ..detectors import DETECTORS, Calibrated, Detector, DetectorContext, PooledDetector, Verdict
+from ..detectors import Detector, DetectorContext, PooledDetector, Verdict
 from ..detectors.base import (
     HAVE_IT,
     YoungMemoryWarning,
@@ -32,7 +32,7 @@ from ..detectors.base import (
 from ..detectors.calibrated import resolve_thresholds
 from ..receiver.epoch import Epoch
 from .domain import Choice, FloatArray, apply_choices, draw
-from .monitors import Monitor
+from .monitors import Monitor, name_detector
 from .setup import Run, Setup, make_generators, seeds_of_runs
 
 Rows = NDArray[np.intp]
@@ -476,7 +476,7 @@ class Simulator(ABC):
     def layout(self) -> EpisodeLayout:
         setup, onset = self.setup, int(self.onset[0])
         return EpisodeLayout(
-            title=f"{setup.title} against {detector_name(setup.detector)}",
+            title=f"{setup.title} against {name_detector(setup.detector)}",
             track_ne=self._ground_ne(slice(onset, onset + setup.steps + setup.hold + 1)),
             interval_s=setup.interval_s,
             steps=setup.steps,
@@ -593,9 +593,3 @@ def weighs(setup: Setup, detector: Detector) -> bool:
     simulator: Simulator = chosen.simulator(1, run_serially)
     simulator.switch_on(make_generators(seeds_of_runs(0, "calibration", setup.name, [0])))
     return simulator.step(attacked=False).weights is not None
-
-
-def detector_name(detector: Detector) -> str:
-    detector = detector.detector if isinstance(detector, Calibrated) else detector
-    found = (name for name, kind in DETECTORS.items() if kind is type(detector))
-    return detector.label or next(found, type(detector).__name__)

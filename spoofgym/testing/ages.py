@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from ..bench.runs.play import Runs, WarmStart, play
 from ..bench.runs.world import World
-from ..detectors import Calibrated, Detector
+from ..detectors import Detector
 from ..detectors.build import bare_detector
+from ..detectors.calibrated import unwrap
 from ..simulation.setup import make_generators
 from ..simulation.tight import TightlyCoupledSetup
 from .stationary import (
     AGES_S,
     ATTACKS,
-    FOUND,
     RATES_MPS,
     RECEIVERS,
     WATCHED_S,
     Ages,
     FloatArray,
+    find_slowest,
     require_alike,
 )
 
@@ -35,12 +37,6 @@ POSITION = {
     "control": "rate",
     "rate_limit_mps": MARGIN * RATES_MPS[-1],
 }
-SUBSET = {**POSITION, "channels": [f"slot{k:02d}" for k in range(0, 12, 2)]}
-PLAYED = dict(zip(ATTACKS, (POSITION, SUBSET), strict=True))
-"""Attacks by the words of `ATTACKS`."""
-MARGIN = 2.0
-"""A filter that has settled follows some attacks less far, so that less of them can be found."""
-POSITION = {"name": "false-position", "control": "rate", "rate_limit_mps": RATES_MPS[-1]}
 SUBSET = {**POSITION, "channels": [f"slot{k:02d}" for k in range(0, 12, 2)]}
 PLAYED = dict(zip(ATTACKS, (POSITION, SUBSET), strict=True))
 """Attacks by the words of `ATTACKS`."""
@@ -89,8 +85,7 @@ def check_ages(
     >>> check_ages("snapshot-chi2").rates_mps
     (0.2, 0.4)
     """
-    unbound = bare_detector(detector)
-    unbound = unbound.detector if isinstance(unbound, Calibrated) else unbound
+    unbound = unwrap(bare_detector(detector))
     if not can_fly(unbound):
         raise ValueError(
             f"{type(unbound).__name__} judges what a tightly coupled receiver does not have; "
@@ -131,7 +126,8 @@ def fly_ages(unbound: Detector, world: World) -> Ages:
         if clean is None:
             clean = _by_age(play(start, "none").peak)
         level = float(clean[0].max())
-        rate = _find_rate(start.first(RECEIVERS), level)
+        slowest = find_slowest(partial(_find, start.first(RECEIVERS), level))
+        rate = None if slowest is None else MARGIN * slowest
         rates.append(rate)
         none = np.zeros(start.receivers, dtype=np.bool_)
         found.append(_by_age(none if rate is None else _find(start, level, rate)))
@@ -157,14 +153,6 @@ def _start(unbound: Detector, world: World, attack: Mapping[str, Any]) -> WarmSt
 
 def _by_age(values: Any) -> Any:
     return values.reshape(len(AGES_S), RECEIVERS)
-
-
-def _find_rate(start: WarmStart, level: float) -> float | None:
-    """`MARGIN` times the slowest ramp that is found at the first age."""
-    for rate in RATES_MPS:
-        if _find(start, level, rate).mean() >= FOUND:
-            return MARGIN * rate
-    return None
 
 
 def _find(start: WarmStart, level: float, rate_mps: float) -> Any:

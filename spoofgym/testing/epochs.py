@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..attacks import FalsePosition
 from ..detectors import DetectorContext, Never
-from ..receiver.epoch import OPTIONAL, Epoch
+from ..receiver.epoch import OPTIONAL, Epoch, without_channels
 from ..simulation import Engine, TightlyCoupledSetup, Timeline
 from ..truth.scenario import Scenario
 
@@ -236,7 +236,6 @@ def _draw_position_epoch(
     position = np.outer(time, [3.0, -4.0, 0.0])
     fix = position.copy()
     fix[:, :m] += innovation
-    nothing, no_vector = np.zeros((b, 0)), np.zeros((b, 0, 3))
     return with_optional_fields(
         Epoch(
             time=time,
@@ -248,11 +247,7 @@ def _draw_position_epoch(
             design=design,
             transition=np.tile(np.eye(s), (b, 1, 1)),
             imu_delta=rng.standard_normal((b, 6)) * np.repeat([0.1, 1e-3], 3),
-            pseudorange=nothing,
-            range_rate=nothing,
-            satellite_position=no_vector,
-            satellite_velocity=no_vector,
-            visible=np.zeros((b, 0), dtype=np.bool_),
+            **without_channels(b),
             predicted_position=position,
             predicted_velocity=np.tile([3.0, -4.0, 0.0], (b, 1)),
             gnss_position=fix,

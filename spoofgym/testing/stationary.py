@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -152,18 +153,15 @@ def play_ages(unbound: Detector) -> Ages:
         before = copy.deepcopy(bound)
         clean.append(_largest(bound, minute)[0])
         level = clean[0].max()
-        rates = rates or [_find_rate(before, minute, level, attack) for attack in ATTACKS]
-        attacks = zip(ATTACKS, rates, strict=True)
-        found.append([_find(before, minute, level, *attack) for attack in attacks])
+        finders = [partial(_find, before, minute, level, attack) for attack in ATTACKS]
+        rates = rates or [*map(find_slowest, finders)]
+        found.append([find(rate) for find, rate in zip(finders, rates, strict=True)])
     return Ages(np.array(clean), tuple(rates), np.array(found).swapaxes(0, 1))
 
 
-def _find_rate(bound: Detector, minute: list[Epoch], level: float, attack: str) -> float | None:
-    """Slowest ramp that is found."""
-    for rate in RATES_MPS:
-        if _find(bound, minute, level, attack, rate).mean() >= FOUND:
-            return rate
-    return None
+def find_slowest(find: Callable[[float], NDArray[np.bool_]]) -> float | None:
+    """Slowest ramp that is found; `find` says in which receivers that of a rate is."""
+    return next((rate for rate in RATES_MPS if find(rate).mean() >= FOUND), None)
 
 
 def _find(
