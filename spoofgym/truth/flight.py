@@ -127,24 +127,20 @@ def integrate_velocity(
     return position
 
 
-def rotate_flight(flight: Flight, angle: float) -> Flight:
-    r"""Flight in another direction: the whole of it turned about the vertical where it begins.
+class Course(NamedTuple):
+    r"""What a flight in several directions has in common: it is turned as a whole about the
+    vertical where it begins.
 
     .. math::
         v' = R v, \qquad C_{eb}' = R\, C_{eb}, \qquad R = C_{en} R_z(\psi)\, C_{en}^T
 
-    with :math:`C_{en}` at the first position.  The Earth is no sphere, so that heights come out
-    otherwise by decimetres over tens of kilometres.
+    with :math:`C_{en}` at the first position, and :math:`\psi` an `angle` clockwise seen from above
+    [rad].  The Earth is no sphere, so that heights come out otherwise by decimetres over tens of
+    kilometres.
 
-    `angle`: turn :math:`\psi`, clockwise seen from above [rad].
+    `time` (M+1,) and `C_eb` (M+1, 3, 3) of every `thinning`-th state; `velocity_e` (N+1, 3) of all,
+    `step` apart; and `start_e`.
     """
-    return Course.of(flight, 1).fly(angle)
-
-
-class Course(NamedTuple):
-    """What the turned trajectories of a flight have in common. `time` (M+1,) and `C_eb`
-    (M+1, 3, 3) of every `thinning`-th state; `velocity_e` (N+1, 3) of all, `step` apart; and
-    `start_e`."""
 
     name: str
     thinning: int
@@ -166,7 +162,7 @@ class Course(NamedTuple):
         return np.asarray(C_en @ euler_to_dcm(0.0, 0.0, angle) @ C_en.T)
 
     def move(self, angle: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Position and velocity (M+1, 3), turned as in `rotate_flight`."""
+        """Position and velocity (M+1, 3), turned."""
         velocity_e = self.velocity_e
         if angle != 0.0:
             velocity_e = velocity_e @ self.get_turn(angle).T
@@ -291,19 +287,11 @@ class Trajectory(Flight):
         self._settle("angular_rate_b", (self.time.size - 1, 3))
 
 
-def trajectory_at(
-    flight: Flight, imu_rate_hz: float | None, epoch_interval_s: float, turned: float = 0.0
-) -> Trajectory:
-    """Trajectory whose inertial samples come at another rate; None for that of the flight. Velocity
-    and attitude are those of the flight; the position is the integral of that velocity over the
-    longer samples, as of any flight, and so differs by millimetres. `turned`: angle of
-    `rotate_flight` [rad]."""
-    return Headings(flight, imu_rate_hz, epoch_interval_s).trajectory(turned)
-
-
 class Headings:
-    """Trajectories of a flight in several directions, as `trajectory_at` has each; at a lower rate,
-    the flight's other samples are not kept."""
+    """Trajectories of a flight in several directions, whose inertial samples come at another rate;
+    None for that of the flight. Velocity and attitude are those of the flight; the position is the
+    integral of that velocity over the longer samples, as of any flight, and so differs by
+    millimetres. At a lower rate, the flight's other samples are not kept."""
 
     def __init__(self, flight: Flight, imu_rate_hz: float | None, epoch_interval_s: float) -> None:
         self.count = 1
@@ -313,8 +301,8 @@ class Headings:
         self._whole = flight if self.count == 1 else None
 
     def trajectory(self, turned: float) -> Trajectory:
-        as_it_is = turned == 0.0 and self._whole is not None
-        flight = self._whole if as_it_is and self._whole is not None else self.course.fly(turned)
+        whole = self._whole
+        flight = self.course.fly(turned) if whole is None or turned != 0.0 else whole
         largest = LARGEST_DECIMATED if self.count > 1 else LARGEST_ROTATION
         return inverse_kinematics(flight, decimation=self.count, largest=largest)
 
