@@ -23,14 +23,7 @@ from typing import Any
 import numpy as np
 
 from agents.folder import Part, Records, error_lines, write_json
-from spoofgym.bench.experiments.evaluate import Evaluator
-from spoofgym.bench.report.table import Table, interval
-from spoofgym.bench.runs.players import specify_detector
-from spoofgym.bench.runs.record import MEASURES
-from spoofgym.bench.scores.at_budget import AlarmTrace, ratio_at_budget
-from spoofgym.bench.scores.statistics import BUDGET
-from spoofgym.bench.search.amplitude import EXACT
-from spoofgym.bench.search.offsets import (
+from baselines.offset_search import (
     SPACES,
     OffsetsBackend,
     OffsetsOptimizer,
@@ -38,6 +31,13 @@ from spoofgym.bench.search.offsets import (
     coherent_curve,
     unseen_ramp,
 )
+from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.report.table import Table, interval
+from spoofgym.bench.runs.players import specify_detector
+from spoofgym.bench.runs.record import MEASURES
+from spoofgym.bench.scores.at_budget import AlarmTrace, ratio_at_budget
+from spoofgym.bench.scores.statistics import BUDGET
+from spoofgym.bench.search.amplitude import EXACT
 from spoofgym.bench.search.open_loop import PLAIN, SHAPES, SPLIT, OpenLoopSearch
 from spoofgym.cli.app import print_json, progress
 from spoofgym.simulation.setup import seed_sequences

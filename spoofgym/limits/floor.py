@@ -69,8 +69,7 @@ from .linear import (
 from .power import deflection_for
 
 WorkCallback = Callable[[float], None]
-HATS = 60
-"""Hat functions of the rate, by axis; as many decisions lose 0.1 to 1 % of the frontier."""
+HATS = 60  # hat functions of the rate, by axis; as many decisions lose 0.1 to 1 % of the frontier
 HEADINGS = 24  # of a target direction that is drawn
 QUANTILES = (0.1, 0.5, 0.9)
 RESAMPLES = 2000  # of worlds, for the interval of their median
@@ -86,8 +85,7 @@ SENSORS = {
     False: "the constants of the inertial sensors are drawn by their data sheet, and not known",
     True: "the constants of the inertial sensors are known",
 }
-SINGULAR = 1e-9
-"""Smallest pivot of R, as a part of the largest, that is not taken for 0."""
+SINGULAR = 1e-9  # smallest pivot of R, as a part of the largest, that is not taken for 0
 SENSOR_CONSTANTS = np.r_[ACCEL_BIAS : STATES - 2, STATES:FIRST]
 
 

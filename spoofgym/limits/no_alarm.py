@@ -26,19 +26,7 @@ from ..detectors.innovation import select_rows
 from ..receiver.epoch import Epoch
 from ..simulation.setup import Setup
 from ..truth.noise import exponential
-from .charts import (
-    RateFilter,
-    hold_averages,
-    hold_common,
-    hold_cusum,
-    hold_energies,
-    hold_lag_cusum,
-    hold_moving_sum,
-    hold_norm,
-    hold_rate,
-    hold_scan,
-    hold_size,
-)
+from . import charts
 from .convex import Program
 from .linear import LinearRun
 from .zero_alarm import Bound, Sensitivity, ewma_bound, sequential_bound, snapshot_bound
@@ -317,21 +305,23 @@ def _never(case: DetectorRun) -> Judged:
 
 def _snapshot(case: DetectorRun) -> Judged:
     limits = case.limits[:, 0]
-    test = case.white(lambda p, y: hold_norm(p, y, limits))
+    test = case.white(lambda p, y: charts.hold_norm(p, y, limits))
     return test._replace(closed=lambda of: snapshot_bound(of, limits * case.inflation))
 
 
 def _windowed_chi2(case: DetectorRun) -> Judged:
     windows, limits = np.array([case.test.window]), case.limits.copy()
     limits[: max(case.test.window - 1 - case.timing.live, 0)] = np.inf  # no verdict: it is not full
-    return case.white(lambda p, y: hold_energies(p, y, limits, windows), rotates=True)
+    return case.white(lambda p, y: charts.hold_energies(p, y, limits, windows), rotates=True)
 
 
 def _sequential(case: DetectorRun) -> Judged:
     length_s, limits = case.test.window_s, case.limits[:, 0]
     window = len(limits) if length_s is None else case.epochs(length_s)
     windows = np.array([window])
-    test = case.white(lambda p, y: hold_energies(p, y, limits[:, None], windows), rotates=True)
+    test = case.white(
+        lambda p, y: charts.hold_energies(p, y, limits[:, None], windows), rotates=True
+    )
     if length_s is not None:
         return test
     return test._replace(closed=lambda of: sequential_bound(of, limits * case.inflation))
@@ -344,19 +334,19 @@ def _bank(case: DetectorRun) -> Judged:
     degrees = np.column_stack([np.convolve(rows, np.ones(w, np.int64))[ends] for w in windows])
     thresholds = case.test.thresholds_to(int(degrees.max()))
     limits = case.limits[:, :1] * thresholds[degrees]
-    return case.white(lambda p, y: hold_energies(p, y, limits, windows), rotates=True)
+    return case.white(lambda p, y: charts.hold_energies(p, y, limits, windows), rotates=True)
 
 
 def _moving_average(case: DetectorRun) -> Judged:
     shape = case.test.compute_weights(case.epochs(case.test.window_s))
     judged, limits = case.per_row(case.judged_so_far), case.per_row(case.limits)
-    return case.normalize(lambda p, y: hold_moving_sum(p, y, limits, judged, shape))
+    return case.normalize(lambda p, y: charts.hold_moving_sum(p, y, limits, judged, shape))
 
 
 def _aime(case: DetectorRun) -> Judged:
     windows = np.array([case.epochs(length_s) for length_s in case.test.windows_s])
     past = case.judged_before * case.per_row(case.run.visible)[0]
-    return case.white(lambda p, y: hold_averages(p, y, case.limits[:, 0], past, windows))
+    return case.white(lambda p, y: charts.hold_averages(p, y, case.limits[:, 0], past, windows))
 
 
 def _ewma(case: DetectorRun) -> Judged:
@@ -366,19 +356,19 @@ def _ewma(case: DetectorRun) -> Judged:
     return Judged(
         matrix,
         case.rows.learning,
-        lambda p, y: hold_size(p, y, limits),
+        lambda p, y: charts.hold_size(p, y, limits),
         smoothing=smoothing,
         closed=lambda of: ewma_bound(of, smoothing, every),
     )
 
 
 def _shewhart(case: DetectorRun) -> Judged:
-    return case.normalize(lambda p, y: hold_size(p, y, case.limits[:, :1]))
+    return case.normalize(lambda p, y: charts.hold_size(p, y, case.limits[:, :1]))
 
 
 def _cusum(case: DetectorRun) -> Judged:
     def hold(program: Program, y: IntArray) -> None:
-        hold_cusum(program, y, case.limits[:, :1], np.full(y.shape, case.test.allowance))
+        charts.hold_cusum(program, y, case.limits[:, :1], np.full(y.shape, case.test.allowance))
 
     return case.normalize(hold)
 
@@ -388,7 +378,7 @@ def _lag_cusum(case: DetectorRun) -> Judged:
 
     def hold(program: Program, y: IntArray) -> None:
         settings = test.lag, test.baseline, test.drift, BASELINE_SDS
-        hold_lag_cusum(program, y, limits, known, *settings)
+        charts.hold_lag_cusum(program, y, limits, known, *settings)
 
     return case.normalize(hold)
 
@@ -410,14 +400,16 @@ def _clock(case: DetectorRun) -> Judged:
     past = case.judged_before if case.run.visible[0].any() else 0
     window = case.epochs(case.test.window_s)
     limits = case.limits[:, 0]
-    return Judged(matrix, case.rows.learning, lambda p, y: hold_common(p, y, limits, past, window))
+    return Judged(
+        matrix, case.rows.learning, lambda p, y: charts.hold_common(p, y, limits, past, window)
+    )
 
 
 def _scan(case: DetectorRun) -> Judged:
     test, known, limits = case.test, case.per_row(case.known), case.per_row(case.limits)
 
     def hold(program: Program, y: IntArray) -> None:
-        hold_scan(program, y, limits, known, test.window, test.baseline, test.ramp)
+        charts.hold_scan(program, y, limits, known, test.window, test.baseline, test.ramp)
 
     return case.normalize(hold)
 
@@ -426,13 +418,13 @@ def _rate(case: DetectorRun) -> Judged:
     test, timing = case.test, case.timing
     memory_s = math.inf if test.memory_s is None else test.memory_s
     growth = 1.0 / exponential(-timing.interval_s / memory_s)
-    filtered = RateFilter(timing.interval_s, test.correlation_per_s, test.noise, growth)
+    filtered = charts.RateFilter(timing.interval_s, test.correlation_per_s, test.noise, growth)
     times = timing.onset_s + timing.interval_s * np.arange(-timing.live, len(case.limits))
     started = times >= test.start_s
     live = started[: timing.live, None] & case.run.visible[0]
 
     def hold(program: Program, y: IntArray) -> None:
-        hold_rate(program, y, case.limits, live, started[timing.live :], filtered)
+        charts.hold_rate(program, y, case.limits, live, started[timing.live :], filtered)
 
     return case.normalize(hold)
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, cast
 
@@ -34,8 +34,7 @@ from ..simulation.setup import make_generators
 from ..simulation.tight import TightlyCoupledSetup
 from .linear import hat_functions, observer, record, respond, unit_commands, unused_seed
 
-HATS = 40
-"""Hat functions of the rate by which the response is known, over the attack window."""
+HATS = 40  # hat functions of the rate by which the response is known, over the attack window
 UNKNOWN_RESPONSES = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
 MATRICES = {"transition", "predicted_cov", "design", "innovation_cov"}
 """Fields that are stored in single precision, as the responses are."""
@@ -123,8 +122,6 @@ class Replay:
         That judge attacks; all useful cores by default.
     given : mapping, optional
         Circumstances that are not to be drawn, as of a reset, one value a run.
-    tick : callable, optional
-        Is given the part of the responses that is done.
 
     Attributes
     ----------
@@ -147,7 +144,6 @@ class Replay:
         *,
         threads: int | None = None,
         given: Mapping[str, Sequence[Any]] | None = None,
-        tick: Callable[[float], None] | None = None,
     ) -> None:
         self.setup, self.runs, self.given = setup, len(seeds), given or {}
         self._banks: dict[tuple[int, bytes], LinearBank] = {}
@@ -155,7 +151,6 @@ class Replay:
         for each in detectors:
             check_replayable(each)
         self.needs = frozenset().union(*map(check_needs, detectors))
-        self._tick = tick or (lambda part: None)
         self._record(detectors, seeds)
         self._respond(seeds)
 
@@ -207,7 +202,6 @@ class Replay:
                 self._units.append(
                     {name: array.astype(np.float32) for name, array in found.items()}
                 )
-                self._tick(1.0 / len(ones))
 
     def _offsets(self, onset: int) -> FloatArray:
         """(K, m, 2 Q) offsets of the measurements by hat function, those north first."""
@@ -234,11 +228,7 @@ class Replay:
         return isinstance(_inner(self.detectors[number]), SolutionSeparation)
 
     def play(
-        self,
-        number: int,
-        rates: FloatArray,
-        *,
-        rows: NDArray[np.intp] | None = None,
+        self, number: int, rates: FloatArray, *, rows: NDArray[np.intp] | None = None
     ) -> Replayed:
         """Let one of the detectors judge P attacks on some runs, all by default. `rates` (P,
         decisions) along each run's target direction [m/s]."""
@@ -352,12 +342,7 @@ class Replay:
         return np.asarray(np.hypot(position[..., 0], position[..., 1]))
 
     def _along(
-        self,
-        part: str,
-        where: slice,
-        u: FloatArray,
-        group: NDArray[np.intp],
-        aim: FloatArray,
+        self, part: str, where: slice, u: FloatArray, group: NDArray[np.intp], aim: FloatArray
     ) -> FloatArray:
         """(K, P, N, x) part of the responses to `u` (Q, P), of runs by their groups and aims."""
         hats, attacks = u.shape

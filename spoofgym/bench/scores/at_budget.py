@@ -68,7 +68,6 @@ class AlarmCurve:
 
     @property
     def runs(self) -> int:
-        """R."""
         return len(self.alarm_amplitude)
 
     def fit(self, budget: float, samples: FloatArray) -> FloatArray:

@@ -27,10 +27,7 @@ from ...envs.spoofer_binding import get_tuning_range
 from ...spoofers import make_spoofer
 from ..runs.panel import Panel, PanelAttack
 from ..runs.players import PlayerSpec
-from ..runs.record import (
-    MEASURES,
-    measure_displacement,
-)
+from ..runs.record import MEASURES, Mask, measure_displacement
 from ..scores.at_budget import AMPLITUDE, AlarmCurve, AlarmTrace, score_at_budget
 from ..scores.scores import Stealth, select_clusters
 from ..scores.statistics import (
@@ -42,9 +39,9 @@ from ..scores.statistics import (
     weighted_quantile,
 )
 from .amplitude import Trial, Tuning, TuningResult
+from .backends import Rows
 
-RESOLUTION = 1.005
-"""Ratio of two values between which a run's alarm amplitude is known to lie."""
+RESOLUTION = 1.005  # ratio of two values between which a run's alarm amplitude is known to lie
 STEP, GROWTH = 1.1, 1.25
 """Ratio of the first two values that all runs play, and the power by which it grows."""
 ERRORS, LEAST = 4.0, 0.2
@@ -52,8 +49,6 @@ ERRORS, LEAST = 4.0, 0.2
 the budget that is far enough below it."""
 FACTOR, FACTOR_RUNS = 1.1, 128
 """On the thresholds, for the elasticity of a score, and how many runs it is taken from at most."""
-Mask = NDArray[np.bool_]
-Rows = NDArray[np.intp]
 Played = tuple[Mask, dict[str, FloatArray]]
 """Which runs alarm (R,), and their undetected displacement by measure (R,) [m]."""
 
@@ -247,7 +242,6 @@ def tune_at_budget(
     settings: Tuning,
     tick: Callable[[float], None] = lambda _: None,
 ) -> TuningResult:
-    """Find the value of a spoofer's setting at exactly the budget."""
     trace = trace_attack(panel, number, entry, settings, tick)
     curve, score = trace.curve, score_at_budget(trace.curve, settings.budget, trace.factors)
     trials = []

@@ -168,7 +168,6 @@ class TuningResult:
     def from_dict(
         cls, data: dict[str, Any], arrays: Mapping[str, Any] | None = None
     ) -> TuningResult:
-        """Inverse of `as_dict`, and of `arrays`."""
         trials = tuple(Trial(**trial) for trial in data["trials"])
         trace = AlarmTrace.from_parts(arrays, data["value"]) if arrays else None
         return cls(**{**data, "trials": trials, "trace": trace})
@@ -274,5 +273,4 @@ def search_work(settings: Tuning, scored: int = 0) -> float:
 
 
 def with_rates(entry: PlayerSpec, rates_mps: list[float]) -> PlayerSpec:
-    """An optimized open-loop attack with the rates of a curve."""
     return replace(entry, spec={**entry.spec, "rates_mps": rates_mps})
