@@ -316,10 +316,7 @@ class Frontier:
 
     def sizes(self, *, free: bool = False) -> FloatArray:
         """(N,) frontiers at d = 1 over worlds and headings [m]; `free` for the closed form."""
-        return self._sizes(self.coasting if free else self.per_deflection)
-
-    def _sizes(self, matrices: FloatArray) -> FloatArray:
-        return self._by_world(matrices).ravel()
+        return self._by_world(self.coasting if free else self.per_deflection).ravel()
 
     def _by_world(self, matrices: FloatArray) -> FloatArray:
         """(W, H) frontiers at d = 1 by world and heading [m]."""
@@ -384,7 +381,7 @@ class Frontier:
     ) -> FloatArray:
         """(E,) floors of attacks that aim at `times_s` [m]; arguments as of `floor_m`."""
         d = deflection_for(p_fa, p_d, heading=heading)
-        each = (self._sizes(self.course[:, e]) for e in range(len(self.times_s)))
+        each = (self._by_world(self.course[:, e]) for e in range(len(self.times_s)))
         return np.array([d * np.quantile(of, quantile, method="nearest") for of in each])
 
     @property

@@ -116,11 +116,6 @@ class GroundTruth:
         return self.look(slice(None))[0]
 
     @property
-    def azimuth(self) -> FloatArray:
-        """(K, n) at all epochs [rad], computed at every call."""
-        return self.look(slice(None))[1]
-
-    @property
     def nbytes(self) -> int:
         """Memory of all arrays."""
         return sum(x.nbytes for x in vars(self).values() if isinstance(x, np.ndarray))

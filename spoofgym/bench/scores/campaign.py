@@ -7,15 +7,11 @@ interval lies above 0.  Detectors at different rates are never compared, and non
 thresholds is.  A spoofer that reads the detector's statistic obeys that of a lottery, too, which it
 could ignore: against such a one `never` alone is a control.
 
-The bracket of a detector:
-
-1. The *floor* is what even a perfect detector would allow at the same rate of false alarms.
-2. The *open-loop attack* is the best open-loop attack that was found within the alarm budget.
-3. The *zero-alarm bound* is what no attack exceeds in the mean without an alarm of its own doing.
-
-The best attack below the floor says that the search has failed; its whole interval has to lie
-there, so that chance alone does not say it.  A mean may lie above the zero-alarm bound, since the
-budget pays for some alarms; it is marked where it does by more than two standard errors and 1 %.
+The bracket of a detector has its floor, the best open-loop attack that was found within the alarm
+budget, and its zero-alarm bound (`search.bounds`).  The best attack below the floor says that the
+search has failed; its whole interval has to lie there, so that chance alone does not say it.  A
+mean may lie above the zero-alarm bound, since the budget pays for some alarms; it is marked where
+it does by more than two standard errors and 1 %.
 """
 
 from __future__ import annotations
