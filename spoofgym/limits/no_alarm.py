@@ -122,32 +122,26 @@ def judge_run(
     judge.bind(DetectorContext(1, n, timing.interval_s, np.ones(2 * n), ids))
     found = []
     for k in range(-timing.live, epochs):
-        shift = None if innovation is None or k < 0 else innovation[k]
-        epoch = _epoch(run, max(k, 0), timing.onset_s + k * timing.interval_s, timing, shift)
+        at = slice(max(k, 0), max(k, 0) + 1)
+        S, visible, design = run.innovation_cov[at], run.visible[at], run.design[at]
+        shift = np.zeros(S.shape[1]) if innovation is None or k < 0 else innovation[k]
+        epoch = Epoch(
+            time=np.array([timing.onset_s + k * timing.interval_s]),
+            interval=np.array([timing.interval_s]),
+            innovation=np.ascontiguousarray(shift[None]),
+            innovation_variance=np.ascontiguousarray(np.einsum("bii->bi", S)),
+            visible=np.ascontiguousarray(visible),
+            predicted_position=np.zeros((1, 3)),
+            predicted_velocity=np.zeros((1, 3)),
+            innovation_cov=np.ascontiguousarray(S),
+            design=np.ascontiguousarray(design),
+        )
         verdict, armed = judge.judge(epoch), judge.is_armed(epoch)
         if k >= 0:
             on = True if armed is None else bool(armed[0])
             found.append((verdict.statistic[0].copy(), verdict.threshold[0].copy(), on))
     statistic, threshold, on_at = zip(*found, strict=True)
     return Verdicts(np.array(statistic), np.array(threshold), np.array(on_at))
-
-
-def _epoch(
-    run: LinearRun, k: int, time: float, timing: Timing, innovation: FloatArray | None
-) -> Epoch:
-    S, visible = run.innovation_cov[k : k + 1], run.visible[k : k + 1]
-    shift = np.zeros(S.shape[1]) if innovation is None else innovation
-    return Epoch(
-        time=np.array([time]),
-        interval=np.array([timing.interval_s]),
-        innovation=np.ascontiguousarray(shift[None]),
-        innovation_variance=np.ascontiguousarray(np.einsum("bii->bi", S)),
-        visible=np.ascontiguousarray(visible),
-        predicted_position=np.zeros((1, 3)),
-        predicted_velocity=np.zeros((1, 3)),
-        innovation_cov=np.ascontiguousarray(S),
-        design=np.ascontiguousarray(run.design[k : k + 1]),
-    )
 
 
 def counts(visible: BoolArray, live: int) -> IntArray:

@@ -456,22 +456,16 @@ class Optima:
                 "start_m": best.start_m,
             }
         if self.alert_limit_m is not None and best is not None:
-            found[AIMS[2]] = self._search_hazard(backend, settings, best.rates_mps)
+            optimizer = HazardOptimizer(backend, self.alert_limit_m, settings)
+            best = optimizer.search({BEFORE: best.rates_mps})
+            found[AIMS[2]] = {
+                "limit_m": self.alert_limit_m,
+                "rates_mps": [float(f"{rate:.6g}") for rate in best.rates_mps],
+                "p_hmi": float(special.ndtr(best.displacement_m)),
+                "start": best.start,
+                "start_p_hmi": float(special.ndtr(best.start_m)),
+            }
         return found
-
-    def _search_hazard(
-        self, backend: Backend, settings: OpenLoopSearch, before: FloatArray
-    ) -> dict[str, Any]:
-        assert self.alert_limit_m is not None  # as its caller says
-        optimizer = HazardOptimizer(backend, self.alert_limit_m, settings)
-        best = optimizer.search({BEFORE: before})
-        return {
-            "limit_m": self.alert_limit_m,
-            "rates_mps": [float(f"{rate:.6g}") for rate in best.rates_mps],
-            "p_hmi": float(special.ndtr(best.displacement_m)),
-            "start": best.start,
-            "start_p_hmi": float(special.ndtr(best.start_m)),
-        }
 
     def _zero_alarm(self, detector: PlayerSpec) -> dict[str, list[float]]:
         """Shape of the attack that gets farthest without an alarm of its own doing, if known. It is
