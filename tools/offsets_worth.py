@@ -23,14 +23,7 @@ from typing import Any
 import numpy as np
 
 from agents.folder import Part, Records, error_lines, write_json
-from spoofgym.bench.experiments.evaluate import Evaluator
-from spoofgym.bench.report.table import Table, interval
-from spoofgym.bench.runs.players import specify_detector
-from spoofgym.bench.runs.record import MEASURES
-from spoofgym.bench.scores.at_budget import AlarmTrace, ratio_at_budget
-from spoofgym.bench.scores.statistics import BUDGET
-from spoofgym.bench.search.amplitude import EXACT
-from spoofgym.bench.search.offsets import (
+from baselines.offset_search import (
     SPACES,
     OffsetsBackend,
     OffsetsOptimizer,
@@ -38,6 +31,13 @@ from spoofgym.bench.search.offsets import (
     coherent_curve,
     unseen_ramp,
 )
+from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.report.table import Table, interval
+from spoofgym.bench.runs.players import specify_detector
+from spoofgym.bench.runs.record import MEASURES
+from spoofgym.bench.scores.at_budget import AlarmCurve, ratio_at_budget
+from spoofgym.bench.scores.statistics import BUDGET
+from spoofgym.bench.search.amplitude import EXACT
 from spoofgym.bench.search.open_loop import PLAIN, SHAPES, SPLIT, OpenLoopSearch
 from spoofgym.cli.app import print_json, progress
 from spoofgym.simulation.setup import seed_sequences
@@ -106,7 +106,7 @@ def play_case(detector: Mapping[str, Any], captured: str, **sizes: Any) -> dict[
     judge = make_judge(detector, captured, **sizes)
     rates, told = search(judge, captured)
     scores: dict[str, Any] = {}
-    traces: dict[str, AlarmTrace] = {}
+    traces: dict[str, AlarmCurve] = {}
     for name, each in rates.items():
         curves = np.round(each / RATE_MPS, 7).tolist()
         same = next((x for x, one in scores.items() if one["curves"] == curves), None)
@@ -119,9 +119,7 @@ def play_case(detector: Mapping[str, Any], captured: str, **sizes: Any) -> dict[
         traces[name] = fit.trace
         scores[name] = {**fit.at_budget, "curves": curves, "value": fit.value}
     ratios = {
-        f"{name} / {other}": ratio_at_budget(
-            traces[name].curve, traces[other].curve, BUDGET, traces[name].factors
-        ).as_json()
+        f"{name} / {other}": ratio_at_budget(traces[name], traces[other], BUDGET).as_json()
         for other in traces
         for name in SPACES
         if name != other

@@ -29,7 +29,7 @@ from agents.seeds import format_range
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.runs.record import MEASURES
-from spoofgym.bench.scores.at_budget import AlarmTrace, ratio_at_budget
+from spoofgym.bench.scores.at_budget import AlarmCurve, ratio_at_budget
 from spoofgym.bench.scores.statistics import BUDGET
 from spoofgym.bench.search.amplitude import EXACT
 from spoofgym.core.progress import ProgressBar, show_progress
@@ -76,7 +76,7 @@ def make_judge(settings: Settings, attack: dict[str, Any]) -> Evaluator:
     return Evaluator(detector=settings.detector, **world, **sizes)
 
 
-def fit_ramp(settings: Settings, case: str) -> tuple[dict[str, Any], AlarmTrace]:
+def fit_ramp(settings: Settings, case: str) -> tuple[dict[str, Any], AlarmCurve]:
     """The best constant coherent ramp to the east, by the same satellites."""
     attack = {**CASES[case][0], "basis": "position+clock", "scales_mps": [1.0, 1.0, 1.0]}
     fit = make_judge(settings, attack).fit(RIVAL)
@@ -85,7 +85,7 @@ def fit_ramp(settings: Settings, case: str) -> tuple[dict[str, Any], AlarmTrace]
     return {**fit.at_budget, "value": fit.value}, fit.trace
 
 
-def train(settings: Settings, case: str, seed: int, ramp: AlarmTrace) -> dict[str, Any]:
+def train(settings: Settings, case: str, seed: int, ramp: AlarmCurve) -> dict[str, Any]:
     """One training, and its scores."""
     attack, log_std = CASES[case]
     own = {**WORLD, "attack": {"name": "offsets", **attack}, "warm_pool": NUM_ENVS}
@@ -106,7 +106,7 @@ def train(settings: Settings, case: str, seed: int, ramp: AlarmTrace) -> dict[st
         judge = make_judge(settings, attack)
         fit, trained = judge.fit(model), judge.score(model, amplitude=None)
         assert fit.trace is not None  # as of every exact fit
-        ratio = ratio_at_budget(fit.trace.curve, ramp.curve, BUDGET, fit.trace.factors)
+        ratio = ratio_at_budget(fit.trace, ramp, BUDGET)
         row |= {"score": fit.at_budget, "amplitude": fit.value, "ratio": ratio.as_json()}
         row |= {"as_trained": trained.as_dict()}
     envs.close()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -75,16 +75,7 @@ def real_scenario(
         {
             "track": cleaning.as_dict(),
             "fit": fit.as_dict(),
-            "ephemeris": {
-                "name": name,
-                "records": screening.records,
-                "duplicates": screening.duplicates,
-                "unhealthy": screening.unhealthy,
-                "rejected": screening.rejected,
-                "rejections": [list(rejection) for rejection in screening.rejections],
-                "unchecked": screening.unchecked,
-                "unresolved": screening.unresolved,
-            },
+            "ephemeris": {"name": name, **asdict(screening), "rejected": screening.rejected},
             "time": {
                 "track_start_utc": own.isoformat(),
                 "simulated_start_utc": start.isoformat(),

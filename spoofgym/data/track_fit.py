@@ -36,7 +36,7 @@ from scipy.sparse.linalg import splu
 from ..core.declared import check_number
 from ..core.registry import require
 from ..earth.wgs84 import ECCENTRICITY_SQUARED, EQUATORIAL_RADIUS, STANDARD_GRAVITY
-from ..truth.flight import Flight, flight_from_geodetic, inverse_kinematics
+from ..truth.flight import Flight, flight_from_geodetic, inverse_kinematics, settle_array
 
 MINIMUM_FIXES = 6  # fewest fixes of a track; a quintic polynomial has as many coefficients
 STEEPEST_LATITUDE = math.radians(89.0)  # closer to a pole, courses change too fast [rad]
@@ -74,15 +74,9 @@ class Track:
             count >= MINIMUM_FIXES, f"a track must have at least {MINIMUM_FIXES} fixes, got {count}"
         )
         for field in ("time", "latitude", "longitude", "height"):
-            require(
-                np.isfinite(self._settle(field, count)).all(),
-                f"`{field}` must be finite, got NaN or infinity",
-            )
+            settle_array(self, field, (count,))
         for field in ("groundspeed", "track_angle"):
-            require(
-                not np.isinf(self._settle(field, count)).any(),
-                f"`{field}` must be finite or NaN, got infinity",
-            )
+            settle_array(self, field, (count,), missing=True)
         require(
             self.time[0] == 0.0 and (np.diff(self.time) > 0.0).all(),
             "`time` must start at 0 s and rise from fix to fix",
@@ -92,12 +86,6 @@ class Track:
                 f"`latitude` must lie within {math.degrees(STEEPEST_LATITUDE):g} deg of the "
                 f"equator, got {math.degrees(worst):g} deg"
             )
-
-    def _settle(self, field: str, count: int) -> NDArray[np.float64]:
-        value = np.array(getattr(self, field), dtype=np.float64)
-        require(value.shape == (count,), f"`{field}` must have shape ({count},), got {value.shape}")
-        object.__setattr__(self, field, value)
-        return value
 
     @property
     def duration(self) -> float:

@@ -45,8 +45,7 @@ from .no_alarm import Judged, Timing, judged_by
 from .zero_alarm import Bound, Kind, Sensitivity, checked_direction, sensitivity
 
 WorkCallback = Callable[[float], None]
-HATS = 24
-"""Hat functions of the rate of a restricted attack."""
+HATS = 24  # hat functions of the rate of a restricted attack
 ASSUMPTIONS = (
     "a zero-alarm bound is of the mean displacement over runs, in one direction, of any spoofer, "
     "feedback included; of no quantile and no single run",
@@ -55,8 +54,7 @@ ASSUMPTIONS = (
     "a free attack may do anything to the measurements; a restricted one is a false position along "
     "one heading, within the limits of the world's own attack",
 )
-UNSEEN = 1e-9
-"""Part of a sensitivity outside the rows that are judged from which on it counts."""
+UNSEEN = 1e-9  # part of a sensitivity outside the rows that are judged from which on it counts
 
 
 class Attacker(NamedTuple):

@@ -16,12 +16,10 @@ from ..detectors.base import BoolArray, FloatArray, IntArray
 from ..detectors.innovation_rate import FIRST_COVARIANCE, filter_sample
 from .convex import Program, SparseRows
 
-FIRST_ONSETS = 8
-"""Onsets of a scan whose rows are there from the start, spaced by factors of two."""
+FIRST_ONSETS = 8  # onsets of a scan whose rows are there from the start, spaced by factors of two
 FARTHEST_SD = 1e5
 """Size of an innovation from which on a scan that never binds counts as unbounded [SD]."""
-VIOLATED = 1e-7
-"""Part of a limit by which a row must be violated to be added."""
+VIOLATED = 1e-7  # part of a limit by which a row must be violated to be added
 
 
 def hold_size(program: Program, y: IntArray, limits: FloatArray) -> None:
@@ -132,11 +130,7 @@ def hold_lag_cusum(
 
 
 def hold_averages(
-    program: Program,
-    y: IntArray,
-    limits: FloatArray,
-    past: IntArray,
-    windows: IntArray,
+    program: Program, y: IntArray, limits: FloatArray, past: IntArray, windows: IntArray
 ) -> None:
     """Squared norm of the normalized sum over each window below a limit (K,). `past` (r,): epochs
     before the onset in which each row was judged."""

@@ -18,8 +18,7 @@ from scipy import optimize, sparse
 
 from ..detectors.base import BoolArray, FloatArray, IntArray
 
-LARGEST_PART = 1e-3
-"""Part of an upper bound that the infeasibility of its dual may make up."""
+LARGEST_PART = 1e-3  # part of an upper bound that the infeasibility of its dual may make up
 MOST_ROUNDS = 60
 """Rounds of added rows before the search is given up; the scans of tests took fewer than 20."""
 
@@ -77,14 +76,10 @@ class Program:
     def maximize(self, ids: IntArray, worth: FloatArray) -> None:
         self._worth.append((ids[ids >= 0], worth[ids >= 0]))
 
-    def equal(
-        self, columns: IntArray, values: FloatArray | float, rhs: FloatArray | float = 0.0
-    ) -> None:
-        self._equal.append(_rows(columns, values, rhs))
+    def equal(self, columns: IntArray, values: FloatArray) -> None:
+        self._equal.append(_rows(columns, values, 0.0))
 
-    def below(
-        self, columns: IntArray, values: FloatArray | float, rhs: FloatArray | float = 0.0
-    ) -> None:
+    def below(self, columns: IntArray, values: FloatArray, rhs: FloatArray | float) -> None:
         self._below.append(_rows(columns, values, rhs))
 
     def ball(self, ids: IntArray, radius: float) -> None:

@@ -69,8 +69,7 @@ from .linear import (
 from .power import deflection_for
 
 WorkCallback = Callable[[float], None]
-HATS = 60
-"""Hat functions of the rate, by axis; as many decisions lose 0.1 to 1 % of the frontier."""
+HATS = 60  # hat functions of the rate, by axis; as many decisions lose 0.1 to 1 % of the frontier
 HEADINGS = 24  # of a target direction that is drawn
 QUANTILES = (0.1, 0.5, 0.9)
 RESAMPLES = 2000  # of worlds, for the interval of their median
@@ -86,8 +85,7 @@ SENSORS = {
     False: "the constants of the inertial sensors are drawn by their data sheet, and not known",
     True: "the constants of the inertial sensors are known",
 }
-SINGULAR = 1e-9
-"""Smallest pivot of R, as a part of the largest, that is not taken for 0."""
+SINGULAR = 1e-9  # smallest pivot of R, as a part of the largest, that is not taken for 0
 SENSOR_CONSTANTS = np.r_[ACCEL_BIAS : STATES - 2, STATES:FIRST]
 
 
@@ -318,10 +316,7 @@ class Frontier:
 
     def sizes(self, *, free: bool = False) -> FloatArray:
         """(N,) frontiers at d = 1 over worlds and headings [m]; `free` for the closed form."""
-        return self._sizes(self.coasting if free else self.per_deflection)
-
-    def _sizes(self, matrices: FloatArray) -> FloatArray:
-        return self._by_world(matrices).ravel()
+        return self._by_world(self.coasting if free else self.per_deflection).ravel()
 
     def _by_world(self, matrices: FloatArray) -> FloatArray:
         """(W, H) frontiers at d = 1 by world and heading [m]."""
@@ -386,7 +381,7 @@ class Frontier:
     ) -> FloatArray:
         """(E,) floors of attacks that aim at `times_s` [m]; arguments as of `floor_m`."""
         d = deflection_for(p_fa, p_d, heading=heading)
-        each = (self._sizes(self.course[:, e]) for e in range(len(self.times_s)))
+        each = (self._by_world(self.course[:, e]) for e in range(len(self.times_s)))
         return np.array([d * np.quantile(of, quantile, method="nearest") for of in each])
 
     @property

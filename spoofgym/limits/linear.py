@@ -231,8 +231,7 @@ def white(innovation_cov: FloatArray, rows: FloatArray) -> FloatArray:
 
 
 TINY_S = 1e-3  # a commanded rate is reached in this time
-SMALL = 0.1
-"""Part of the limit of the rate of a unit command."""
+SMALL = 0.1  # part of the limit of the rate of a unit command
 LINEAR_TO = 0.02
 """Largest distance of a response to commands from the sum of its parts, as a part of it."""
 

@@ -26,19 +26,7 @@ from ..detectors.innovation import select_rows
 from ..receiver.epoch import Epoch
 from ..simulation.setup import Setup
 from ..truth.noise import exponential
-from .charts import (
-    RateFilter,
-    hold_averages,
-    hold_common,
-    hold_cusum,
-    hold_energies,
-    hold_lag_cusum,
-    hold_moving_sum,
-    hold_norm,
-    hold_rate,
-    hold_scan,
-    hold_size,
-)
+from . import charts
 from .convex import Program
 from .linear import LinearRun
 from .zero_alarm import Bound, Sensitivity, ewma_bound, sequential_bound, snapshot_bound
@@ -134,32 +122,26 @@ def judge_run(
     judge.bind(DetectorContext(1, n, timing.interval_s, np.ones(2 * n), ids))
     found = []
     for k in range(-timing.live, epochs):
-        shift = None if innovation is None or k < 0 else innovation[k]
-        epoch = _epoch(run, max(k, 0), timing.onset_s + k * timing.interval_s, timing, shift)
+        at = slice(max(k, 0), max(k, 0) + 1)
+        S, visible, design = run.innovation_cov[at], run.visible[at], run.design[at]
+        shift = np.zeros(S.shape[1]) if innovation is None or k < 0 else innovation[k]
+        epoch = Epoch(
+            time=np.array([timing.onset_s + k * timing.interval_s]),
+            interval=np.array([timing.interval_s]),
+            innovation=np.ascontiguousarray(shift[None]),
+            innovation_variance=np.ascontiguousarray(np.einsum("bii->bi", S)),
+            visible=np.ascontiguousarray(visible),
+            predicted_position=np.zeros((1, 3)),
+            predicted_velocity=np.zeros((1, 3)),
+            innovation_cov=np.ascontiguousarray(S),
+            design=np.ascontiguousarray(design),
+        )
         verdict, armed = judge.judge(epoch), judge.is_armed(epoch)
         if k >= 0:
             on = True if armed is None else bool(armed[0])
             found.append((verdict.statistic[0].copy(), verdict.threshold[0].copy(), on))
     statistic, threshold, on_at = zip(*found, strict=True)
     return Verdicts(np.array(statistic), np.array(threshold), np.array(on_at))
-
-
-def _epoch(
-    run: LinearRun, k: int, time: float, timing: Timing, innovation: FloatArray | None
-) -> Epoch:
-    S, visible = run.innovation_cov[k : k + 1], run.visible[k : k + 1]
-    shift = np.zeros(S.shape[1]) if innovation is None else innovation
-    return Epoch(
-        time=np.array([time]),
-        interval=np.array([timing.interval_s]),
-        innovation=np.ascontiguousarray(shift[None]),
-        innovation_variance=np.ascontiguousarray(np.einsum("bii->bi", S)),
-        visible=np.ascontiguousarray(visible),
-        predicted_position=np.zeros((1, 3)),
-        predicted_velocity=np.zeros((1, 3)),
-        innovation_cov=np.ascontiguousarray(S),
-        design=np.ascontiguousarray(run.design[k : k + 1]),
-    )
 
 
 def counts(visible: BoolArray, live: int) -> IntArray:
@@ -317,21 +299,23 @@ def _never(case: DetectorRun) -> Judged:
 
 def _snapshot(case: DetectorRun) -> Judged:
     limits = case.limits[:, 0]
-    test = case.white(lambda p, y: hold_norm(p, y, limits))
+    test = case.white(lambda p, y: charts.hold_norm(p, y, limits))
     return test._replace(closed=lambda of: snapshot_bound(of, limits * case.inflation))
 
 
 def _windowed_chi2(case: DetectorRun) -> Judged:
     windows, limits = np.array([case.test.window]), case.limits.copy()
     limits[: max(case.test.window - 1 - case.timing.live, 0)] = np.inf  # no verdict: it is not full
-    return case.white(lambda p, y: hold_energies(p, y, limits, windows), rotates=True)
+    return case.white(lambda p, y: charts.hold_energies(p, y, limits, windows), rotates=True)
 
 
 def _sequential(case: DetectorRun) -> Judged:
     length_s, limits = case.test.window_s, case.limits[:, 0]
     window = len(limits) if length_s is None else case.epochs(length_s)
     windows = np.array([window])
-    test = case.white(lambda p, y: hold_energies(p, y, limits[:, None], windows), rotates=True)
+    test = case.white(
+        lambda p, y: charts.hold_energies(p, y, limits[:, None], windows), rotates=True
+    )
     if length_s is not None:
         return test
     return test._replace(closed=lambda of: sequential_bound(of, limits * case.inflation))
@@ -344,19 +328,19 @@ def _bank(case: DetectorRun) -> Judged:
     degrees = np.column_stack([np.convolve(rows, np.ones(w, np.int64))[ends] for w in windows])
     thresholds = case.test.thresholds_to(int(degrees.max()))
     limits = case.limits[:, :1] * thresholds[degrees]
-    return case.white(lambda p, y: hold_energies(p, y, limits, windows), rotates=True)
+    return case.white(lambda p, y: charts.hold_energies(p, y, limits, windows), rotates=True)
 
 
 def _moving_average(case: DetectorRun) -> Judged:
     shape = case.test.compute_weights(case.epochs(case.test.window_s))
     judged, limits = case.per_row(case.judged_so_far), case.per_row(case.limits)
-    return case.normalize(lambda p, y: hold_moving_sum(p, y, limits, judged, shape))
+    return case.normalize(lambda p, y: charts.hold_moving_sum(p, y, limits, judged, shape))
 
 
 def _aime(case: DetectorRun) -> Judged:
     windows = np.array([case.epochs(length_s) for length_s in case.test.windows_s])
     past = case.judged_before * case.per_row(case.run.visible)[0]
-    return case.white(lambda p, y: hold_averages(p, y, case.limits[:, 0], past, windows))
+    return case.white(lambda p, y: charts.hold_averages(p, y, case.limits[:, 0], past, windows))
 
 
 def _ewma(case: DetectorRun) -> Judged:
@@ -366,19 +350,19 @@ def _ewma(case: DetectorRun) -> Judged:
     return Judged(
         matrix,
         case.rows.learning,
-        lambda p, y: hold_size(p, y, limits),
+        lambda p, y: charts.hold_size(p, y, limits),
         smoothing=smoothing,
         closed=lambda of: ewma_bound(of, smoothing, every),
     )
 
 
 def _shewhart(case: DetectorRun) -> Judged:
-    return case.normalize(lambda p, y: hold_size(p, y, case.limits[:, :1]))
+    return case.normalize(lambda p, y: charts.hold_size(p, y, case.limits[:, :1]))
 
 
 def _cusum(case: DetectorRun) -> Judged:
     def hold(program: Program, y: IntArray) -> None:
-        hold_cusum(program, y, case.limits[:, :1], np.full(y.shape, case.test.allowance))
+        charts.hold_cusum(program, y, case.limits[:, :1], np.full(y.shape, case.test.allowance))
 
     return case.normalize(hold)
 
@@ -388,7 +372,7 @@ def _lag_cusum(case: DetectorRun) -> Judged:
 
     def hold(program: Program, y: IntArray) -> None:
         settings = test.lag, test.baseline, test.drift, BASELINE_SDS
-        hold_lag_cusum(program, y, limits, known, *settings)
+        charts.hold_lag_cusum(program, y, limits, known, *settings)
 
     return case.normalize(hold)
 
@@ -410,14 +394,16 @@ def _clock(case: DetectorRun) -> Judged:
     past = case.judged_before if case.run.visible[0].any() else 0
     window = case.epochs(case.test.window_s)
     limits = case.limits[:, 0]
-    return Judged(matrix, case.rows.learning, lambda p, y: hold_common(p, y, limits, past, window))
+    return Judged(
+        matrix, case.rows.learning, lambda p, y: charts.hold_common(p, y, limits, past, window)
+    )
 
 
 def _scan(case: DetectorRun) -> Judged:
     test, known, limits = case.test, case.per_row(case.known), case.per_row(case.limits)
 
     def hold(program: Program, y: IntArray) -> None:
-        hold_scan(program, y, limits, known, test.window, test.baseline, test.ramp)
+        charts.hold_scan(program, y, limits, known, test.window, test.baseline, test.ramp)
 
     return case.normalize(hold)
 
@@ -426,13 +412,13 @@ def _rate(case: DetectorRun) -> Judged:
     test, timing = case.test, case.timing
     memory_s = math.inf if test.memory_s is None else test.memory_s
     growth = 1.0 / exponential(-timing.interval_s / memory_s)
-    filtered = RateFilter(timing.interval_s, test.correlation_per_s, test.noise, growth)
+    filtered = charts.RateFilter(timing.interval_s, test.correlation_per_s, test.noise, growth)
     times = timing.onset_s + timing.interval_s * np.arange(-timing.live, len(case.limits))
     started = times >= test.start_s
     live = started[: timing.live, None] & case.run.visible[0]
 
     def hold(program: Program, y: IntArray) -> None:
-        hold_rate(program, y, case.limits, live, started[timing.live :], filtered)
+        charts.hold_rate(program, y, case.limits, live, started[timing.live :], filtered)
 
     return case.normalize(hold)
 

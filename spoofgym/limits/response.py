@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, cast
 
@@ -34,8 +34,7 @@ from ..simulation.setup import make_generators
 from ..simulation.tight import TightlyCoupledSetup
 from .linear import hat_functions, observer, record, respond, unit_commands, unused_seed
 
-HATS = 40
-"""Hat functions of the rate by which the response is known, over the attack window."""
+HATS = 40  # hat functions of the rate by which the response is known, over the attack window
 UNKNOWN_RESPONSES = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
 MATRICES = {"transition", "predicted_cov", "design", "innovation_cov"}
 """Fields that are stored in single precision, as the responses are."""
@@ -123,8 +122,6 @@ class Replay:
         That judge attacks; all useful cores by default.
     given : mapping, optional
         Circumstances that are not to be drawn, as of a reset, one value a run.
-    tick : callable, optional
-        Is given the part of the responses that is done.
 
     Attributes
     ----------
@@ -147,7 +144,6 @@ class Replay:
         *,
         threads: int | None = None,
         given: Mapping[str, Sequence[Any]] | None = None,
-        tick: Callable[[float], None] | None = None,
     ) -> None:
         self.setup, self.runs, self.given = setup, len(seeds), given or {}
         self._banks: dict[tuple[int, bytes], LinearBank] = {}
@@ -155,7 +151,6 @@ class Replay:
         for each in detectors:
             check_replayable(each)
         self.needs = frozenset().union(*map(check_needs, detectors))
-        self._tick = tick or (lambda part: None)
         self._record(detectors, seeds)
         self._respond(seeds)
 
@@ -207,7 +202,6 @@ class Replay:
                 self._units.append(
                     {name: array.astype(np.float32) for name, array in found.items()}
                 )
-                self._tick(1.0 / len(ones))
 
     def _offsets(self, onset: int) -> FloatArray:
         """(K, m, 2 Q) offsets of the measurements by hat function, those north first."""
@@ -234,11 +228,7 @@ class Replay:
         return isinstance(_inner(self.detectors[number]), SolutionSeparation)
 
     def play(
-        self,
-        number: int,
-        rates: FloatArray,
-        *,
-        rows: NDArray[np.intp] | None = None,
+        self, number: int, rates: FloatArray, *, rows: NDArray[np.intp] | None = None
     ) -> Replayed:
         """Let one of the detectors judge P attacks on some runs, all by default. `rates` (P,
         decisions) along each run's target direction [m/s]."""
@@ -259,13 +249,9 @@ class Replay:
 
     def _play(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> Replayed:
         moved, error = self.compute_shifts(rates, rows, check_needs(self.detectors[number]))
-        detector = self._ready(number, rows, len(rates))
         first = np.zeros(len(rates) * len(rows), dtype=np.int64)
         peak = np.zeros(len(first))
-        buffers: dict[str, NDArray[Any]] = {}
-        for k in range(self.epochs):
-            epoch = self._epoch(k, moved, rows, len(rates), detector.needs, buffers)
-            verdict = _judge(detector, epoch)
+        for k, (_, verdict) in enumerate(self._judge_epochs(number, moved, rows, len(rates))):
             np.maximum(peak, (verdict.statistic / verdict.threshold).max(axis=1), out=peak)
             first[verdict.alarm.any(axis=1) & (first == 0)] = k + 1
         shape = len(rates), len(rows)
@@ -307,13 +293,10 @@ class Replay:
 
     def _whiten_some(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
         moved, _ = self.compute_shifts(rates, rows, check_needs(self.detectors[number]))
-        detector = self._ready(number, rows, len(rates))
-        inner = cast(SolutionSeparation, _inner(detector))
-        buffers: dict[str, NDArray[Any]] = {}
+        judged = self._judge_epochs(number, moved, rows, len(rates))
         stored = []
-        for k in range(self.epochs):
-            epoch = self._epoch(k, moved, rows, len(rates), detector.needs, buffers)
-            verdict = _judge(detector, epoch)
+        for k, (detector, verdict) in enumerate(judged):
+            inner = cast(SolutionSeparation, _inner(detector))
             place = np.tile(self._epochs["predicted_position"][k][rows], (len(rates), 1))
             size = np.sqrt(verdict.threshold[:, :, None])
             stored.append((inner.whiten(place) / size).reshape(len(rates), len(rows), -1, 2))
@@ -352,12 +335,7 @@ class Replay:
         return np.asarray(np.hypot(position[..., 0], position[..., 1]))
 
     def _along(
-        self,
-        part: str,
-        where: slice,
-        u: FloatArray,
-        group: NDArray[np.intp],
-        aim: FloatArray,
+        self, part: str, where: slice, u: FloatArray, group: NDArray[np.intp], aim: FloatArray
     ) -> FloatArray:
         """(K, P, N, x) part of the responses to `u` (Q, P), of runs by their groups and aims."""
         hats, attacks = u.shape
@@ -372,33 +350,26 @@ class Replay:
         assert out is not None  # there is at least one run
         return out
 
-    def _ready(self, number: int, rows: NDArray[np.intp], attacks: int) -> Detector:
-        detector = copy.deepcopy(self.detectors[number])
-        detector.bind(self._context._replace(receivers=attacks * len(rows)))
-        everyone = np.arange(attacks * len(rows))
-        source = self.detectors[number].memory
-        detector.memory.copy_rows(everyone, source, np.tile(rows, attacks))
-        return detector
-
-    def _epoch(
-        self,
-        k: int,
-        moved: dict[str, FloatArray],
-        rows: NDArray[np.intp],
-        attacks: int,
-        needs: frozenset[str],
-        buffers: dict[str, NDArray[Any]],
-    ) -> Epoch:
-        arrays = {}
-        for name in ALWAYS | needs:
-            array = self._epochs[name][k][rows]
-            if name not in buffers:
-                dtype = np.float64 if name in MATRICES else array.dtype
-                buffers[name] = np.empty((attacks, *array.shape), dtype=dtype)
-            out = buffers[name]
-            if name in moved:
-                np.add(array, moved[name][k], out=out)
-            else:
-                out[:] = array
-            arrays[name] = out.reshape(-1, *array.shape[1:])
-        return Epoch(**arrays)
+    def _judge_epochs(
+        self, number: int, moved: dict[str, FloatArray], rows: NDArray[np.intp], attacks: int
+    ) -> Iterator[tuple[Detector, Verdict]]:
+        """A copy of a detector, and its verdicts epoch by epoch: of all runs, attack by attack."""
+        source, everyone = self.detectors[number], np.tile(rows, attacks)
+        detector = copy.deepcopy(source)
+        detector.bind(self._context._replace(receivers=len(everyone)))
+        detector.memory.copy_rows(np.arange(len(everyone)), source.memory, everyone)
+        buffers: dict[str, NDArray[Any]] = {}
+        for k in range(self.epochs):
+            arrays = {}
+            for name in ALWAYS | detector.needs:
+                array = self._epochs[name][k][rows]
+                if name not in buffers:
+                    dtype = np.float64 if name in MATRICES else array.dtype
+                    buffers[name] = np.empty((attacks, *array.shape), dtype=dtype)
+                out = buffers[name]
+                if name in moved:
+                    np.add(array, moved[name][k], out=out)
+                else:
+                    out[:] = array
+                arrays[name] = out.reshape(-1, *array.shape[1:])
+            yield detector, _judge(detector, Epoch(**arrays))

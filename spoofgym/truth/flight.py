@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,17 @@ ORTHONORMALITY_TOLERANCE = 1e-9  # largest element of C C' - I
 PIECE = 8192  # rows, of a table over time, that are computed at a time
 _PICARD_STOP = 1e-6
 _PICARD_LIMIT = 100
+
+
+def settle_array(record: Any, field: str, shape: tuple[int, ...], *, missing: bool = False) -> None:
+    """Make a field of a frozen record a float64 copy in C order, finite; `missing`: or NaN."""
+    value = np.array(getattr(record, field), dtype=np.float64, order="C")
+    require(value.shape == shape, f"`{field}` must have shape {shape}, got {value.shape}")
+    if missing:
+        require(not np.isinf(value).any(), f"`{field}` must be finite or NaN, got infinity")
+    else:
+        require(np.isfinite(value).all(), f"`{field}` must be finite, got NaN or infinity")
+    object.__setattr__(record, field, value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +63,10 @@ class Flight:
     def __post_init__(self) -> None:
         count = np.size(self.time)
         require(count >= 2, f"`time` must have at least 2 samples, got {count}")
-        self._settle("time", (count,))
-        self._settle("position_e", (count, 3))
-        self._settle("velocity_e", (count, 3))
-        self._settle("C_eb", (count, 3, 3))
+        settle_array(self, "time", (count,))
+        settle_array(self, "position_e", (count, 3))
+        settle_array(self, "velocity_e", (count, 3))
+        settle_array(self, "C_eb", (count, 3, 3))
         self._check_time()
         pieces = (self.C_eb[piece] for piece in split_rows(count))
         worst = max(float(np.abs(C @ C.swapaxes(1, 2) - np.eye(3)).max()) for C in pieces)
@@ -66,12 +77,6 @@ class Flight:
             )
         closed = integrate_velocity(self.position_e[0], self.velocity_e, self.step)
         check_closure(self.position_e, closed, self.step, CLOSURE_TOLERANCE)
-
-    def _settle(self, field: str, shape: tuple[int, ...]) -> None:
-        value = np.array(getattr(self, field), dtype=np.float64, order="C")
-        require(value.shape == shape, f"`{field}` must have shape {shape}, got {value.shape}")
-        require(np.isfinite(value).all(), f"`{field}` must be finite, got NaN or infinity")
-        object.__setattr__(self, field, value)
 
     def _check_time(self) -> None:
         if self.time[0] != 0.0:
@@ -125,57 +130,6 @@ def integrate_velocity(
     np.cumsum(0.5 * step * (velocity_e[:-1] + velocity_e[1:]), axis=0, out=position[1:])
     position += np.asarray(start_e, dtype=np.float64)
     return position
-
-
-def rotate_flight(flight: Flight, angle: float) -> Flight:
-    r"""Flight in another direction: the whole of it turned about the vertical where it begins.
-
-    .. math::
-        v' = R v, \qquad C_{eb}' = R\, C_{eb}, \qquad R = C_{en} R_z(\psi)\, C_{en}^T
-
-    with :math:`C_{en}` at the first position.  The Earth is no sphere, so that heights come out
-    otherwise by decimetres over tens of kilometres.
-
-    `angle`: turn :math:`\psi`, clockwise seen from above [rad].
-    """
-    return Course.of(flight, 1).fly(angle)
-
-
-class Course(NamedTuple):
-    """What the turned trajectories of a flight have in common. `time` (M+1,) and `C_eb`
-    (M+1, 3, 3) of every `thinning`-th state; `velocity_e` (N+1, 3) of all, `step` apart; and
-    `start_e`."""
-
-    name: str
-    thinning: int
-    step: float
-    time: NDArray[np.float64]
-    start_e: NDArray[np.float64]
-    velocity_e: NDArray[np.float64]
-    C_eb: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, flight: Flight, count: int) -> Course:
-        time, C_eb = (np.ascontiguousarray(each[::count]) for each in (flight.time, flight.C_eb))
-        start_e = flight.position_e[0].copy()
-        return cls(flight.name, count, flight.step, time, start_e, flight.velocity_e, C_eb)
-
-    def get_turn(self, angle: float) -> NDArray[np.float64]:
-        latitude, longitude, _ = ecef_to_geodetic(self.start_e)
-        C_en = dcm_e_from_n(latitude, longitude)
-        return np.asarray(C_en @ euler_to_dcm(0.0, 0.0, angle) @ C_en.T)
-
-    def move(self, angle: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Position and velocity (M+1, 3), turned as in `rotate_flight`."""
-        velocity_e = self.velocity_e
-        if angle != 0.0:
-            velocity_e = velocity_e @ self.get_turn(angle).T
-        velocity_e = velocity_e[:: self.thinning]
-        return integrate_velocity(self.start_e, velocity_e, self.thinning * self.step), velocity_e
-
-    def fly(self, angle: float) -> Flight:
-        C_eb = self.C_eb if angle == 0.0 else self.get_turn(angle) @ self.C_eb
-        return Flight(self.name, self.time, *self.move(angle), C_eb)
 
 
 def check_closure(
@@ -287,42 +241,66 @@ class Trajectory(Flight):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._settle("specific_force_b", (self.time.size - 1, 3))
-        self._settle("angular_rate_b", (self.time.size - 1, 3))
-
-
-def trajectory_at(
-    flight: Flight, imu_rate_hz: float | None, epoch_interval_s: float, turned: float = 0.0
-) -> Trajectory:
-    """Trajectory whose inertial samples come at another rate; None for that of the flight. Velocity
-    and attitude are those of the flight; the position is the integral of that velocity over the
-    longer samples, as of any flight, and so differs by millimetres. `turned`: angle of
-    `rotate_flight` [rad]."""
-    return Headings(flight, imu_rate_hz, epoch_interval_s).trajectory(turned)
+        settle_array(self, "specific_force_b", (self.time.size - 1, 3))
+        settle_array(self, "angular_rate_b", (self.time.size - 1, 3))
 
 
 class Headings:
-    """Trajectories of a flight in several directions, as `trajectory_at` has each; at a lower rate,
-    the flight's other samples are not kept."""
+    r"""A flight in several directions, turned as a whole about the vertical where it begins.
+
+    .. math::
+        v' = R v, \qquad C_{eb}' = R\, C_{eb}, \qquad R = C_{en} R_z(\psi)\, C_{en}^T
+
+    with :math:`C_{en}` at the first position, and :math:`\psi` an `angle` clockwise seen from above
+    [rad].  The Earth is no sphere, so that heights come out otherwise by decimetres over tens of
+    kilometres.
+
+    Inertial samples may come at another rate, None for that of the flight.  Velocity and attitude
+    are those of the flight; the position is the integral of that velocity over the longer samples,
+    as of any flight, and so differs by millimetres.  At a lower rate, the flight's other samples
+    are not kept.
+
+    `time` (M+1,) of every `count`-th state.
+    """
 
     def __init__(self, flight: Flight, imu_rate_hz: float | None, epoch_interval_s: float) -> None:
         self.count = 1
         if imu_rate_hz is not None:
             self.count = compute_decimation(flight.step, imu_rate_hz, epoch_interval_s)
-        self.course = Course.of(flight, self.count)
+        self.name, self._step, self._velocity_e = flight.name, flight.step, flight.velocity_e
+        self._start_e = flight.position_e[0].copy()
+        self.time = np.ascontiguousarray(flight.time[:: self.count])
+        self._C_eb = np.ascontiguousarray(flight.C_eb[:: self.count])
         self._whole = flight if self.count == 1 else None
 
-    def trajectory(self, turned: float) -> Trajectory:
-        as_it_is = turned == 0.0 and self._whole is not None
-        flight = self._whole if as_it_is and self._whole is not None else self.course.fly(turned)
-        largest = LARGEST_DECIMATED if self.count > 1 else LARGEST_ROTATION
-        return inverse_kinematics(flight, decimation=self.count, largest=largest)
+    def _turn(self, angle: float) -> NDArray[np.float64]:
+        latitude, longitude, _ = ecef_to_geodetic(self._start_e)
+        C_en = dcm_e_from_n(latitude, longitude)
+        return np.asarray(C_en @ euler_to_dcm(0.0, 0.0, angle) @ C_en.T)
 
-    def positions(self, turned: float) -> NDArray[np.float64]:
+    def _move(self, angle: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Position and velocity (M+1, 3), turned."""
+        velocity_e = self._velocity_e
+        if angle != 0.0:
+            velocity_e = velocity_e @ self._turn(angle).T
+        velocity_e = velocity_e[:: self.count]
+        return integrate_velocity(self._start_e, velocity_e, self.count * self._step), velocity_e
+
+    def fly(self, angle: float) -> Flight:
+        if angle == 0.0 and self._whole is not None:
+            return self._whole
+        C_eb = self._C_eb if angle == 0.0 else self._turn(angle) @ self._C_eb
+        return Flight(self.name, self.time, *self._move(angle), C_eb)
+
+    def trajectory(self, angle: float) -> Trajectory:
+        largest = LARGEST_DECIMATED if self.count > 1 else LARGEST_ROTATION
+        return inverse_kinematics(self.fly(angle), decimation=self.count, largest=largest)
+
+    def positions(self, angle: float) -> NDArray[np.float64]:
         """(M+1, 3) `position_e` of a trajectory, and nothing else of it."""
-        if turned == 0.0 and self._whole is not None:
+        if angle == 0.0 and self._whole is not None:
             return self._whole.position_e
-        return self.course.move(turned)[0]
+        return self._move(angle)[0]
 
 
 def compute_decimation(step: float, rate_hz: float, epoch_interval_s: float) -> int:

@@ -24,7 +24,7 @@ from ..earth.wgs84 import (
     turning_of_local_axes,
 )
 from ._kernels import fill_ranges
-from .flight import Trajectory, split_rows, trajectory_at
+from .flight import Headings, Trajectory, split_rows
 from .manoeuvres import FLIGHTS
 from .satellites import Constellation
 
@@ -33,6 +33,7 @@ CHANNELS = 12
 FEWEST_CHANNELS, MOST_CHANNELS = 4, 32
 MASK_DEG = 10.0
 HIGHEST_MASK_DEG = 60.0
+SKY_PLACE = 40.0, 116.0, 500.0  # latitude, longitude [deg] and height [m] of a snapshot receiver
 SKY_MASK_DEG = 5.0  # least elevation of a satellite that a snapshot receiver uses [deg]
 
 
@@ -113,11 +114,6 @@ class GroundTruth:
     def elevation(self) -> FloatArray:
         """(K, n) at all epochs [rad], computed at every call."""
         return self.look(slice(None))[0]
-
-    @property
-    def azimuth(self) -> FloatArray:
-        """(K, n) at all epochs [rad], computed at every call."""
-        return self.look(slice(None))[1]
 
     @property
     def nbytes(self) -> int:
@@ -293,7 +289,9 @@ def fill_slots(
 ) -> tuple[list[int], tuple[str, ...], NDArray[np.bool_]]:
     """Satellites that get a slot, the ids of all slots, and (K, n) whether each is visible;
     `visible` (K, S) of all satellites."""
-    chosen = _choose(visible, channels)
+    epochs = visible.sum(axis=0)
+    longest = np.argsort(-epochs, kind="stable")[:channels]
+    chosen = sorted(int(i) for i in longest if epochs[i] > 0)
     ids = tuple(constellation.satellite_ids[i] for i in chosen)
     ids += ("",) * (channels - len(chosen))
     seen = _in_slots(visible, chosen, channels).astype(np.bool_)
@@ -309,12 +307,6 @@ def _in_slots(array: NDArray[Any], chosen: list[int], channels: int) -> FloatArr
     slots = np.zeros((len(array), channels, *array.shape[2:]))
     slots[:, : len(chosen)] = np.nan_to_num(array[:, chosen])
     return slots
-
-
-def _choose(visible: NDArray[np.bool_], channels: int) -> list[int]:
-    epochs = visible.sum(axis=0)
-    longest = np.argsort(-epochs, kind="stable")[:channels]
-    return sorted(int(i) for i in longest if epochs[i] > 0)
 
 
 SOURCES = 3  # of chance; each has a key of its own in every episode
@@ -437,7 +429,8 @@ def loose_world(trajectory: Trajectory, interval_s: float) -> LooseWorld:
 @lru_cache(maxsize=4)
 def flown_world(flight: str, interval_s: float, imu_rate_hz: float | None = None) -> LooseWorld:
     check_choice("flight", flight, FLIGHTS)
-    return loose_world(trajectory_at(FLIGHTS[flight](), imu_rate_hz, interval_s), interval_s)
+    headings = Headings(FLIGHTS[flight](), imu_rate_hz, interval_s)
+    return loose_world(headings.trajectory(0.0), interval_s)
 
 
 class Sky(NamedTuple):
@@ -455,42 +448,23 @@ class Sky(NamedTuple):
     satellite_ids: tuple[str, ...]
 
 
-def straight_line(
-    time: FloatArray,
-    latitude_deg: float,
-    longitude_deg: float,
-    height_m: float,
-    speed_mps: float,
-    heading_deg: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Straight line that begins level. `time` (K,) [s]; returns `position_e`, `velocity_e`, `C_en`
-    (K, 3), (3,), (3, 3), as in `Sky`."""
-    latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
-    start = geodetic_to_ecef(latitude, longitude, height_m)
-    C_en = dcm_e_from_n(latitude, longitude)
-    heading = math.radians(heading_deg)
-    velocity = C_en @ (speed_mps * np.array([math.cos(heading), math.sin(heading), 0.0]))
-    return start + np.outer(time, velocity), velocity, C_en
-
-
 def make_sky(
     epochs: int,
     interval_s: float,
     satellites: int,
     constellation: Constellation,
     *,
-    latitude_deg: float = 40.0,
-    longitude_deg: float = 116.0,
-    height_m: float = 500.0,
     speed_mps: float = 0.0,
     heading_deg: float = 0.0,
 ) -> Sky:
-    """Vehicle and the satellites that are highest over all of its way. Returns slots in the order
-    of the ids."""
+    """Vehicle on a straight line that begins level at `SKY_PLACE`, and the satellites that are
+    highest over all of its way, in the order of their ids."""
     time = interval_s * np.arange(epochs, dtype=np.float64)
-    position, velocity, C_en = straight_line(
-        time, latitude_deg, longitude_deg, height_m, speed_mps, heading_deg
-    )
+    latitude, longitude, heading = (math.radians(x) for x in (*SKY_PLACE[:2], heading_deg))
+    C_en = dcm_e_from_n(latitude, longitude)
+    velocity = C_en @ (speed_mps * np.array([math.cos(heading), math.sin(heading), 0.0]))
+    start = geodetic_to_ecef(latitude, longitude, SKY_PLACE[2])
+    position = start + np.outer(time, velocity)
     states = constellation.states(time)
     apart = states.position_e - position[:, None]
     up = -(apart @ C_en[:, 2]) / np.linalg.norm(apart, axis=-1)

@@ -183,13 +183,7 @@ class CombinedConstellation:
         return SatelliteStates(position[:, self._order], velocity[:, self._order])
 
 
-TWO_CONSTELLATIONS = (
-    CombinedConstellation(  # the book's, and planes as of Galileo (`galileo-os-sis-icd`)
-        (
-            CircularConstellation(),
-            CircularConstellation(
-                satellites=24, radius_m=2.96e7, inclination_deg=56.0, planes=3, prefix="E"
-            ),
-        )
-    )
+_PLANES_OF_GALILEO = CircularConstellation(  # `galileo-os-sis-icd`
+    satellites=24, radius_m=2.96e7, inclination_deg=56.0, planes=3, prefix="E"
 )
+TWO_CONSTELLATIONS = CombinedConstellation((CircularConstellation(), _PLANES_OF_GALILEO))

@@ -260,11 +260,8 @@ class SensorBuffers:
         return np.array([self.words[source] for source in SOURCES])
 
     def copy_rows(self, to: NDArray[np.intp], other: SensorBuffers, rows: NDArray[np.intp]) -> None:
-        self.fields.copy_rows(to, other.fields, rows)
-        self.constants.copy_rows(to, other.constants, rows)
-        self.words.copy_rows(to, other.words, rows)
-        self.signals.copy_rows(to, other.signals, rows)
-        self.in_run.copy_rows(to, other.in_run, rows)
+        for name in ("fields", "constants", "words", "signals", "in_run"):
+            getattr(self, name).copy_rows(to, getattr(other, name), rows)
         for name in ("epoch", "range_offset", "rate_offset"):
             getattr(self, name)[to] = getattr(other, name)[rows]
         if len(self.authentic):

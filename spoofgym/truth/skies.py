@@ -147,8 +147,8 @@ class _Recipe:
 
     def find_facts(self) -> list[SkyFacts]:
         headings = self.get_headings()
-        end = find_epochs(headings.course.time, self.rules.epoch_interval_s)
-        time = headings.course.time[end]
+        end = find_epochs(headings.time, self.rules.epoch_interval_s)
+        time = headings.time[end]
         places = [headings.positions(angle)[end] for angle in self.angles]
         rules = self.rules.channels, self.rules.mask_deg
         return [
@@ -321,14 +321,14 @@ class Skies(GroundTruth):
 def _lay(recipe: _Recipe, facts: Sequence[SkyFacts]) -> _Laid:
     """Memory of all worlds, none of which is built; most of it is taken when it is written to."""
     headings, rules = recipe.get_headings(), recipe.rules
-    time, count, n = headings.course.time, len(recipe.places), rules.channels
+    time, count, n = headings.time, len(recipe.places), rules.channels
     end = find_epochs(time, rules.epoch_interval_s)
     samples, each = len(time) - 1, len(end)
     ids = {fact.satellite_ids for fact in facts}
     starts = samples * np.repeat(np.array(recipe.runs, dtype=np.int64), each)
     shapes = {"satellites": (n, 8), "position_e": (3,), "velocity_e": (3,)}
     laid = _Laid(
-        name=headings.course.name,
+        name=headings.name,
         satellite_ids=ids.pop() if len(ids) == 1 else tuple(f"slot{s:02d}" for s in range(n)),
         imu_time=time.copy(),
         run=np.zeros((8, len(recipe.angles) * samples)),

@@ -15,7 +15,6 @@ from spoofgym.bench.runs.record import undetected_displacement
 from spoofgym.bench.runs.world import World
 from spoofgym.bench.scores.at_budget import (
     AlarmCurve,
-    AlarmTrace,
     compare_at_budget,
     score_at_budget,
     score_best,
@@ -141,14 +140,14 @@ def test_the_best_of_equal_attacks_is_not_flattered_by_the_choice():
     rng, share = np.random.default_rng(1), 0.2
     truth = 100.0 * np.exp(np.sqrt(0.1) * special.ndtri(share)) * (1.0 - 0.5 * share)
     sets = [[population(rng) for _ in range(4)] for _ in range(8)]
-    fair = np.mean([score_best([AlarmTrace(x, None) for x in each], share).value for each in sets])
+    fair = np.mean([score_best(each, share).value for each in sets])
     best = np.mean(
         [max(score_at_budget(x, share).displacement[MOVED].value for x in each) for each in sets]
     )
     assert fair == pytest.approx(truth, rel=0.025)
     assert best > fair
     same = sets[0][0]
-    assert score_best([AlarmTrace(same, None)] * 2, share).value == pytest.approx(
+    assert score_best([same] * 2, share).value == pytest.approx(
         score_at_budget(same, share).displacement[MOVED].value, rel=0.02
     )
 
@@ -159,7 +158,7 @@ def test_of_few_runs_or_none_a_score_is_what_there_is(runs):
     score = score_at_budget(curve, 0.05)
     assert score.counted == runs
     assert np.isnan(score.amplitude.value) == (runs == 0)
-    assert np.isnan(score_best([AlarmTrace(curve, None)], 0.05).value)
+    assert np.isnan(score_best([curve], 0.05).value)
     assert np.isnan(compare_at_budget(curve, curve, 0.05).value) == (runs == 0)
     assert score.as_json()["counted"] == runs
 
@@ -190,12 +189,13 @@ def test_the_spread_of_the_calibration_enters_the_interval():
     assert np.std(factors) == pytest.approx(wanted, rel=0.15)
     curve = population(rng, each=40)
     before = score_at_budget(curve, 0.1).displacement[MOVED]
-    sharp = replace(curve, elasticity={MOVED: 5.0})
-    after = score_at_budget(sharp, 0.1, factors).displacement[MOVED]
+    drawn = replace(curve, factors=factors)
+    sharp = replace(drawn, elasticity={MOVED: 5.0})
+    after = score_at_budget(sharp, 0.1).displacement[MOVED]
     assert after.value == before.value
     own, both = (0.25 * (each.high - each.low) / before.value for each in (before, after))
     assert both == pytest.approx(np.hypot(own, 5.0 * wanted), rel=0.2)
-    assert score_at_budget(curve, 0.1, factors).displacement[MOVED] == before
+    assert score_at_budget(drawn, 0.1).displacement[MOVED] == before
 
 
 class ReplayRuns:

@@ -10,7 +10,7 @@ from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.domain import draw
 from spoofgym.simulation.engine import Engine
 from spoofgym.simulation.simulator import run_serially
-from spoofgym.truth.flight import rotate_flight
+from spoofgym.truth.flight import Headings
 from spoofgym.truth.manoeuvres import car
 
 ID = "spoofgym/TightlyCoupled-v0"
@@ -139,7 +139,7 @@ def test_draws_are_uniform_and_by_the_key_alone():
 
 def test_a_turned_flight_is_the_same_flight_in_another_direction():
     flight = car()
-    other = rotate_flight(flight, np.radians(90.0))
+    other = Headings(flight, None, 0.5).fly(np.radians(90.0))
     np.testing.assert_array_equal(other.position_e[0], flight.position_e[0])
     north, east, down = flight.velocity_n.T
     np.testing.assert_allclose(other.velocity_n[0], [-east[0], north[0], down[0]], atol=1e-9)

@@ -12,7 +12,7 @@ from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.domain import Domain, build_worlds
 from spoofgym.simulation.engine import Engine
 from spoofgym.truth import flight as flights
-from spoofgym.truth.flight import inverse_kinematics, trajectory_at
+from spoofgym.truth.flight import Headings, inverse_kinematics
 from spoofgym.truth.manoeuvres import LONG_S, car, en_route, terminal
 from spoofgym.truth.run import build_world
 from spoofgym.truth.satellites import CircularConstellation
@@ -80,9 +80,9 @@ def test_every_world_of_a_chain_is_the_one_built_alone(turned_deg):
     assert not chained.at_hand.visible.reshape(count, -1)[0].any()
     heights, in_view = chained.list_first_elevations(), chained.in_view.reshape(count, -1)
     for w, (turn, time) in enumerate(domain.pairs()):
-        flight = flights.rotate_flight(car(), np.radians(turn)) if turn else car()
+        flight = Headings(car(), None, 0.5).fly(np.radians(turn))
         sky = CircularConstellation(time_offset_s=time)
-        alone = build_world(trajectory_at(flight, 20.0, 0.5), sky)
+        alone = build_world(Headings(flight, 20.0, 0.5).trajectory(0.0), sky)
         part = chained.take(w)
         np.testing.assert_array_equal(heights[w], alone.first_elevation)
         np.testing.assert_array_equal(in_view[w], alone.visible.sum(axis=1))
@@ -92,7 +92,7 @@ def test_every_world_of_a_chain_is_the_one_built_alone(turned_deg):
             if isinstance(array, np.ndarray):
                 np.testing.assert_array_equal(getattr(part, name), array, err_msg=name)
         some = np.array([7, 3])
-        for each, whole in zip(part.look(some), (alone.elevation, alone.azimuth), strict=True):
+        for each, whole in zip(part.look(some), alone.look(slice(None)), strict=True):
             np.testing.assert_array_equal(each, whole[some])
 
 

@@ -56,7 +56,7 @@ def test_slots_hold_satellites_in_order_and_with_ranges_visible_above_the_mask(w
     states, ids = constellation.states(world.epoch_time), constellation.satellite_ids
     named = [name for name in world.satellite_ids if name]
     assert world.satellite_ids == (*sorted(named), *[""] * (12 - len(named)))
-    for array in (world.visible, world.satellites, world.elevation, world.azimuth):
+    for array in (world.visible, world.satellites, *world.look(slice(None))):
         assert not array[:, len(named) :].any()
     assert world.visible.any()
     for s, name in enumerate(named):
@@ -99,8 +99,9 @@ def test_azimuth_goes_from_north_by_east():
             return SatelliteStates(np.broadcast_to(position, shape), np.zeros(shape))
 
     ring = build_world(EAST, Ring(satellites=8))
-    np.testing.assert_allclose(ring.azimuth[0, :8] % (2 * math.pi), azimuth, atol=1e-9)
-    np.testing.assert_allclose(ring.elevation[0, :8], math.atan2(0.643, 0.766), atol=1e-9)
+    elevation, found = ring.look(slice(None))
+    np.testing.assert_allclose(found[0, :8] % (2 * math.pi), azimuth, atol=1e-9)
+    np.testing.assert_allclose(elevation[0, :8], math.atan2(0.643, 0.766), atol=1e-9)
 
 
 def test_the_satellites_that_stay_longest_are_taken_and_rise_at_the_mask():
@@ -146,7 +147,7 @@ def test_without_an_ephemeris_a_satellite_is_not_visible(world):
     assert gapped.satellite_ids[0] == ids[first]
     gap = (gapped.epoch_time > 2.0) & (gapped.epoch_time < 4.0)
     np.testing.assert_array_equal(gapped.visible[:, 0], ~gap)
-    for array in (gapped.satellites, gapped.elevation, gapped.azimuth):
+    for array in (gapped.satellites, *gapped.look(slice(None))):
         assert np.isfinite(array).all()
         assert not array[gap, 0].any()
     np.testing.assert_array_equal(gapped.satellites[~gap, 0], world.satellites[~gap, 0])

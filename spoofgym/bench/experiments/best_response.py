@@ -20,7 +20,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...core.declared import setting, settings_record
 from ...core.settings import compute_digest
@@ -32,7 +31,7 @@ from ...simulation.setup import seed_sequences
 from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.scaled import AMPLITUDE, split_amplitude
 from ..runs.players import TUNED, Mixture, PlayerSpec, make_player, specify_spoofer
-from ..scores.statistics import Estimate
+from ..scores.statistics import Estimate, FloatArray
 from ..search.attack_suite import SuiteAttack, build_grid, list_fitting_attacks
 from ..search.backends import MixedBackend, ReplayBackend
 from ..search.bounds import WORLDS
@@ -40,12 +39,10 @@ from ..search.open_loop import SPLIT as SEARCH
 from ..search.open_loop import OpenLoopOptimizer, OpenLoopSearch
 from .game import Game
 
-FloatArray = NDArray[np.float64]
 SELECTION = "selection"
 SHARES = (0.05, 0.5)
 """Shares of alarms for which open-loop attacks are searched for; amplitudes are tried later."""
-SIGNIFICANT = 1e-3
-"""Weight in a mix from which on a detector takes part in that search."""
+SIGNIFICANT = 1e-3  # weight in a mix from which on a detector takes part in that search
 
 
 @settings_record(frozen=True, kw_only=True)
@@ -149,7 +146,7 @@ def best_spoofer(
     for rates in curves:
         rounded = [float(f"{rate:.6g}") for rate in rates]
         spec = {"name": "open-loop", "rates_mps": rounded, AMPLITUDE: TUNED}
-        attacks.append(SuiteAttack("c", specify_spoofer(spec), True))
+        attacks.append(SuiteAttack("c", specify_spoofer(spec)))
     known = {each.label for each in given}
     tried = [
         (each.label, dataclasses.replace(each, decided_on=each.decided_on | seeds))

@@ -23,8 +23,7 @@ from .identity import code_identity
 from .runner import Context, Experiment, run_experiment
 from .store import Cell, Reader, Result, Store
 
-TOGETHER = 8
-"""Cells, of the runs that are played side by side, that threads share in one call."""
+TOGETHER = 8  # cells, of the runs that are played side by side, that threads share in one call
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,6 @@ class CleanCells(Experiment):
         }
 
     def cells(self) -> Iterator[Cell]:
-        """One a chunk."""
         chunk = self.player.chunk
         for k, first in enumerate(range(0, self.runs, chunk)):
             last = min(first + chunk, self.runs)
@@ -61,7 +59,6 @@ class CleanCells(Experiment):
     def run_group(
         self, cells: Sequence[Cell], results: Reader, context: Context
     ) -> Iterator[Result]:
-        """Play chunks side by side."""
         chunks = [range(*map(int, cell.key.split("-"))) for cell in cells]
         played = self.player.play_chunks(self.detectors, chunks, self.split, self.in_loop)
         for cell, part in zip(cells, played, strict=True):
@@ -69,11 +66,9 @@ class CleanCells(Experiment):
             yield Result(part._asdict())
 
     def collect_runs(self, results: Reader) -> CleanRuns:
-        """All runs."""
         return join_runs(CleanRuns(**found.arrays) for found in results.values())
 
     def report(self, results: Reader) -> dict[str, Any]:
-        """How many runs each detector has alarmed in."""
         found = self.collect_runs(results)
         return {"runs": len(found.alarmed), "alarms": found.alarmed.sum(axis=0).tolist()}
 
@@ -100,7 +95,6 @@ class ResumablePlayer(Player):
         in_loop: bool = False,
         now: str = "clean runs",
     ) -> CleanRuns:
-        """As of `Player`."""
         if not isinstance(numbers, range):  # a few, again
             return super().play(detectors, numbers, split=split, in_loop=in_loop, now=now)
         cells = CleanCells(self, detectors, len(numbers), split, in_loop, now)
@@ -115,7 +109,6 @@ class ResumablePlayer(Player):
         return cells.collect_runs(run_experiment(cells, store, progress=bar))
 
     def forget(self) -> None:
-        """Remove them."""
         for folder in self.folders:
             shutil.rmtree(folder)
         self.folders.clear()

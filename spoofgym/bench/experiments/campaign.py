@@ -44,14 +44,11 @@ FLOOR, SEARCH, RUNS, PROTECTION, BOUND = "floor", "search", "runs", "protection"
 """Kinds of cells: of the world, of a detector and a spoofer, of a detector."""
 ATTACK_SUITE = "attack suite"
 Labelled = PlayerSpec | str | None
-PANEL = 4
-"""Passive detectors that share passes; they are finished together, and by one process."""
-WARM_UP = 2.0
-"""Work of a warm-up and of the clean twins, in runs of an attack."""
+PANEL = 4  # passive detectors that share passes; they are finished together, and by one process
+WARM_UP = 2.0  # work of a warm-up and of the clean twins, in runs of an attack
 
 
 def build_key(kind: str, detector: Labelled = None, spoofer: Labelled = None) -> str:
-    """Key of a cell."""
     labels = (each if isinstance(each, str) else each.label for each in (detector, spoofer) if each)
     return " / ".join((*labels, kind))
 
@@ -249,11 +246,9 @@ class Campaign(Experiment):
         return self.suite.config
 
     def results(self, reader: Reader) -> CampaignResults:
-        """What cells hold, by detector and spoofer."""
         return CampaignResults(reader.store, self.config)
 
     def report(self, results: Reader) -> dict[str, Any]:
-        """Scores of all finished cells."""
         return summarize(self.results(results))
 
     @cached_property
@@ -288,11 +283,9 @@ class Campaign(Experiment):
         return found
 
     def cells(self) -> Iterator[Cell]:
-        """Searches, runs, worst attacks and a bound of every detector, and the floor."""
         return (part.cell for part in self.parts.values())
 
     def _work(self, kind: str, spoofer: PlayerSpec | None) -> float:
-        """Work of a cell, in runs of an attack, roughly."""
         suite = self.suite
         if kind == SEARCH:
             return search_work(suite.tuning, suite.runs) * (
@@ -304,14 +297,9 @@ class Campaign(Experiment):
             return expected_plays(len(suite.suite_attacks), suite.selection, suite.runs)
         return 1.0
 
-    def run(self, cell: Cell, results: Reader, context: Context) -> Result:
-        """Compute one cell alone."""
-        return next(self.run_group([cell], results, context))
-
     def run_group(
         self, cells: Sequence[Cell], results: Reader, context: Context
     ) -> Iterator[Result]:
-        """Compute cells of detectors that are played together."""
         optima: Optima = context.cache.setdefault("optima", self.suite.optima(context.threads))
         parts = [self.parts[cell.key] for cell in cells]
         play = _Players(self.suite, parts[0].panel, self.results(results), context)
@@ -438,5 +426,5 @@ def list_optima(suite: Suite, results: CampaignResults, detector: PlayerSpec) ->
             each = (result.found["played"], *result.found["aims"].values())
             curves = [with_rates(entry, curve["rates_mps"]) for curve in each]
             own = [curve for k, curve in enumerate(curves) if curve not in curves[:k]]
-            members += [SuiteAttack("c", curve, True) for curve in own]
+            members += [SuiteAttack("c", curve) for curve in own]
     return members

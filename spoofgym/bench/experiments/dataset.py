@@ -42,14 +42,13 @@ from ...simulation.engine import Engine
 from ...simulation.monitors import PassiveDetectors
 from ...simulation.setup import SPLITS, Setup, make_generators, seeds_of_runs
 from ...simulation.simulator import Simulator, run_serially, weighs
-from ..runs.play import horizontal, list_attack_epochs, to_local
+from ..runs.play import FloatArray, horizontal, list_attack_epochs, to_local
 from .runner import Context, Experiment
 from .store import Cell, Reader, Result, Store
 from .training_attacks import FAMILIES, HELD_OUT, Attackers, TrainingAttacks, check_not_held_out
 
 __all__ = ["Dataset", "Episodes", "Plan", "load_dataset"]
 
-FloatArray = NDArray[np.float64]
 PARTS = {"train": "dataset-train", "validation": "dataset-validation", "test": "dataset-test"}
 """Splits of a data set, and what `simulation.setup` calls them."""
 TERMS: tuple[Any, ...] = (
@@ -194,7 +193,6 @@ class Plan(Experiment):
 
     @cached_property
     def judge(self) -> Detector:
-        """Detector in the loop."""
         return Never() if self.detector is None else detector_in_world(self.detector)
 
     @cached_property
@@ -205,7 +203,6 @@ class Plan(Experiment):
 
     @cached_property
     def attacks(self) -> TrainingAttacks:
-        """Spoofers that attack."""
         named = self.families or ()
         return TrainingAttacks(self.world, self.length_m, named, self.optima, self.spoofers)
 
@@ -248,13 +245,11 @@ class Plan(Experiment):
         }
 
     def cells(self) -> Iterator[Cell]:
-        """One a file."""
         return list_cells(self.runs, self.shard)
 
     def run_group(
         self, cells: Sequence[Cell], results: Reader, context: Context
     ) -> Iterator[Result]:
-        """Play those of some files side by side."""
         observers = context.cache.setdefault("observers", {})
         played = map_ordered(
             lambda cell, stopped: self.play(*parse_cell(cell), observers, stopped),
@@ -353,7 +348,6 @@ class Plan(Experiment):
 
 
 def list_cells(runs: Mapping[str, int], shard: int) -> Iterator[Cell]:
-    """Cells of a data set, each of some runs of a split."""
     for part, count in runs.items():
         for number, first in enumerate(range(0, count, shard)):
             last = min(first + shard, count)

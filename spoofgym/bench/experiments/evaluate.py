@@ -80,7 +80,6 @@ class Evaluator:
 
     @cached_property
     def optima(self) -> Optima:
-        """Searches for optimized open-loop attacks."""
         brackets = DisplacementBounds(self.world, [self.detector], self.entropy)
         return Optima(brackets, self.tuning, threads=self.threads)
 
@@ -97,10 +96,8 @@ class Evaluator:
         return self._panels[key]
 
     def _fit_player(self, entry: PlayerSpec) -> TuningResult:
-        panel, now = (
-            self._panel(self.tuning.split, entry),
-            f"{self.detector.label}: tuning {entry.label}",
-        )
+        panel = self._panel(self.tuning.split, entry)
+        now = f"{self.detector.label}: tuning {entry.label}"
         tick = lambda work: self.progress.advance(work, now)  # noqa: E731
         optima = lambda: self.optima  # noqa: E731
         return next(fit(panel, {0: self.detector}, entry, self.tuning, optima, tick))

@@ -19,7 +19,6 @@ from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...core.progress import NullProgress, ProgressCallback
 from ...core.registry import check_choice, check_keywords, whole_number
@@ -33,6 +32,7 @@ from ...simulation.setup import SPLITS, Setup
 from ...simulation.simulator import weighs
 from ...tasks import get_task
 from ..runs.panel import Panel, PanelAttack
+from ..runs.play import FloatArray
 from ..runs.players import Mixture, PlayerSpec, Strategy, specify_strategy
 from ..runs.record import RunRecord
 from ..runs.world import WORLD, World
@@ -40,9 +40,7 @@ from ..scores.matrix_game import PayoffMatrix, RunPayoff
 from .runner import Context, Experiment, run_experiment
 from .store import Cell, MemoryStore, Reader, Result, Store
 
-FloatArray = NDArray[np.float64]
-SPLIT = "game"
-"""Runs on which matrices are solved."""
+SPLIT = "game"  # runs on which matrices are solved
 RUNS = 200
 
 
@@ -105,7 +103,6 @@ class Pairs(Experiment):
         return f"{key} {compute_digest(named)[:8]}", named
 
     def cells(self) -> Iterator[Cell]:
-        """One a pair."""
         return (cell for cell, _, _ in self.pairs.values())
 
     def run_group(
@@ -139,7 +136,6 @@ class Pairs(Experiment):
         return shared
 
     def matrix(self, results: Reader) -> PayoffMatrix:
-        """Payoffs of all pairs."""
         keys = {(a.label, b.label): key for key, (_, a, b) in self.pairs.items()}
         found = [
             [RunRecord.from_parts(*results[keys[a.label, b.label]][:2]) for b in self.detectors]
@@ -163,7 +159,6 @@ class Pairs(Experiment):
         )
 
     def report(self, results: Reader) -> dict[str, Any]:
-        """Payoffs, and mixes of both sides."""
         matrix = self.matrix(results)
         return {**matrix.as_json(), "equilibrium": matrix.spread().as_json()}
 

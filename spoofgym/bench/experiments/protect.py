@@ -116,7 +116,6 @@ class Worlds:
 
     @cached_property
     def world(self) -> World:
-        """The task's world."""
         return World(settings=self.task.world_kwargs)
 
     def setup(self, **overrides: Any) -> Setup:
@@ -182,22 +181,20 @@ class Worlds:
         spoofer = specify_spoofer(add_tuned_setting({"name": "open-loop"}))
         found = optima.find(detector.player, spoofer, tick)["aims"]
         curves = {tuple(each["rates_mps"]) for each in found.values()}
-        return tuple(SuiteAttack("c", with_rates(spoofer, [*x]), False) for x in sorted(curves))
+        return tuple(SuiteAttack("c", with_rates(spoofer, [*x])) for x in sorted(curves))
 
     def list_attacks(self, family: AttackFamily) -> tuple[SuiteAttack, ...]:
         """Attacks of a family, each with one setting that is looked for; none of one whose profiles
         are looked for, too."""
         if family.letters == "m":
             spec = {**(family.attack or {}), "antenna_m": TUNED}
-            return (SuiteAttack("m", PlayerSpec("meaconer", ATTACK, spec, "antenna_m"), False),)
+            return (SuiteAttack("m", PlayerSpec("meaconer", ATTACK, spec, "antenna_m")),)
         setup = self.setup(**self.task.get_overrides(family))
         suite = list_fitting_attacks(setup, spoofer_context(setup))
         found = [member for member in suite if member.letter in family.letters]
         if "c" in family.letters:
-            found += [
-                SuiteAttack("c", specify_spoofer(add_tuned_setting(name)), False)
-                for name in SHIPPED
-            ]
+            shipped = (specify_spoofer(add_tuned_setting(name)) for name in SHIPPED)
+            found += [SuiteAttack("c", player) for player in shipped]
         return tuple(found)
 
 
@@ -244,7 +241,6 @@ class DetectorEvaluator:
         )
 
     def protections(self, detectors: Iterable[Any]) -> Protections:
-        """Experiment of the `scores`."""
         return Protections(self, self.worlds.build_detectors(detectors))
 
 
@@ -301,12 +297,7 @@ class Protections(Experiment):
         return f"{key} {compute_digest(named)[:8]}", named
 
     def cells(self) -> Iterator[Cell]:
-        """One for a detector and a family."""
         return (cell for cell, _, _ in self.parts.values())
-
-    def run(self, cell: Cell, results: Reader, context: Context) -> Result:
-        """Search against a detector alone."""
-        return next(self.run_group([cell], results, context))
 
     def run_group(
         self, cells: Sequence[Cell], results: Reader, context: Context
@@ -319,10 +310,8 @@ class Protections(Experiment):
             yield from self._false_alarms(group)
             return
         where = {"onset": family.onset, **self.of.task.get_overrides(family)}
-        panel, members = (
-            worlds.panel(group, "selection", settings.runs, **where),
-            worlds.list_attacks(family),
-        )
+        panel = worlds.panel(group, "selection", settings.runs, **where)
+        members = worlds.list_attacks(family)
         antenna = ANTENNA_PARTS[0] * limit, ANTENNA_PARTS[1] * limit
         own = [members] * len(group)
         if SEARCHED in family.letters:
@@ -354,7 +343,6 @@ class Protections(Experiment):
             yield Result({name: alarmed[:, k] for name, alarmed in alarms.items()})
 
     def scores(self, results: Reader) -> list[DetectorScore]:
-        """Scores in the order of the detectors."""
         task, limit = self.of.task, self.of.task.alert_limit_m
         families: dict[str, list[FamilyScore]] = {each.player.label: [] for each in self.detectors}
         alarms = {}

@@ -39,12 +39,9 @@ from .store import Cell, Reader, Result, Store
 
 BACKENDS = {"local": None, "dask": "dask", "ray": "ray-campaign"}
 """Names, and the extras that install them."""
-CONNECT_S = 15.0
-"""How long an address is waited for."""
-HAND_OVER_S = 5.0
-"""How long loky's thread may take over the last task before its workers end."""
-LOOK_S = 0.5
-"""How often a worker looks whether the process that started it is there."""
+CONNECT_S = 15.0  # how long an address is waited for
+HAND_OVER_S = 5.0  # how long loky's thread may take over the last task before its workers end
+LOOK_S = 0.5  # how often a worker looks whether the process that started it is there
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Workers share the processors already: libraries have one thread each in them."""
 
@@ -263,12 +260,10 @@ class _Workers(NamedTuple):
     died: tuple[type[BaseException], ...] = ()
 
 
-Send = Callable[[_Task], None]
-"""Computes a task, and can be pickled."""
+Send = Callable[[_Task], None]  # computes a task, and can be pickled
 
 
 def _run_all(plan: _Plan, workers: _Workers, store: Store, bar: ProgressCallback) -> None:
-    """Compute all that a plan has."""
     running: dict[Future[None], tuple[str, _Task, RemainingWork]] = {}
     while True:
         while len(running) < workers.slots() and (found := plan.next()):
@@ -301,14 +296,12 @@ def _compute(experiment: Experiment, store: Store, context: Context, task: _Task
             store.put(cell, result)
 
 
-_lock = threading.Lock()
-"""One task at a time in a worker, however many threads a cluster gives it."""
+_lock = threading.Lock()  # one task at a time in a worker, however many threads a cluster gives it
 _loaded: dict[bytes, tuple[Experiment, Context]] = {}
 """The experiment that this process computes, as it was sent."""
 
 
 def _work(sent: bytes, threads: int, store: Store, task: _Task) -> None:
-    """Compute a task in a worker."""
     with _lock:
         if sent not in _loaded:
             store.check_code()
@@ -457,7 +450,6 @@ def _no_answer(kind: str, address: str) -> ConnectionError:
 
 
 def _import_backend(kind: str) -> Any:
-    """Module of a backend."""
     module = {"dask": "distributed"}.get(kind, kind)
     try:
         return importlib.import_module(module)

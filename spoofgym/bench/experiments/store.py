@@ -171,7 +171,6 @@ class Store:
             raise ValueError(f"a worker has other code than {self.path}: {unlike}")
 
     def build_path(self, key: str) -> Path:
-        """File of a cell."""
         name = re.sub(r"[^A-Za-z0-9._=]+", "-", key).strip("-.")[:LONGEST_NAME]
         whole = name if name == key else f"{name}--{compute_digest(key)[:8]}"
         return self.path / CELLS / f"{whole}.npz"
@@ -223,7 +222,6 @@ class Store:
         }
 
     def put(self, cell: Cell, result: Result) -> None:
-        """Write a finished cell."""
         content = _pack_result(self._head(cell), result, f"cell {cell.key!r}")
         if self._read_config() != self.config:
             raise ValueError(
@@ -232,7 +230,6 @@ class Store:
         self._write(self.build_path(cell.key), content)
 
     def write(self, name: str, content: bytes) -> Path:
-        """Write a report or another output."""
         self._write(self.path / name, content)
         return self.path / name
 
@@ -252,7 +249,6 @@ class MemoryStore(Store):
         self._folder, self._results = folder, dict[str, Result]()
 
     def open(self, experiment: str, config: Mapping[str, Any], **options: Any) -> None:
-        """Open the folder."""
         if self._folder is not None:
             self._folder.open(experiment, config, **options)
 
@@ -285,15 +281,12 @@ class Reader(Mapping[str, Result]):
         return result
 
     def __contains__(self, key: object) -> bool:
-        """Whether a cell is finished."""
         return key in self.cells and self.store.has(self.cells[str(key)])
 
     def __iter__(self) -> Iterator[str]:
-        """Keys of finished cells, in the order of the experiment."""
         return (key for key, cell in self.cells.items() if self.store.has(cell))
 
     def __len__(self) -> int:
-        """Count finished cells."""
         return sum(1 for _ in self)
 
     @property
@@ -303,7 +296,6 @@ class Reader(Mapping[str, Result]):
 
 
 def _pack_result(head: Mapping[str, Any], result: Result, name: str) -> bytes:
-    """Content of a cell's file."""
     parts = {RECORD: _json(result.record, f"record of {name}")}
     for key, array in result.arrays.items():
         if key.startswith(FILES):

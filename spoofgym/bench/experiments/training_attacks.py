@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...attacks import Meaconer
 from ...attacks.equipment import QUIET, CounterfeitErrors
@@ -33,9 +32,9 @@ from ...simulation.setup import Setup
 from ...spoofers import Spoofer, SpooferContext, make_spoofer
 from ...spoofers.base import has_heading
 from ...spoofers.scaled import AMPLITUDE
+from ..runs.play import FloatArray
 from ..search.attack_suite import KNOTS, SHAPES
 
-FloatArray = NDArray[np.float64]
 FAMILIES = {
     "ramp": "ramps",
     "accelerating-ramp": "ramps that accelerate",
@@ -62,10 +61,8 @@ REACH = (0.125, 5.0)
 """Range of the displacement at the end of a window, in alert limits; log-uniform."""
 AMPLITUDES = (0.25, 2.0)
 """Range of the factor on spoofers that are given, or were found by a search; log-uniform."""
-POWERS = (0.3, 4.0)
-"""Range of the power of time in a profile that is not one of the attack suite's."""
-LAST_PARTS = (0.1, 0.6)
-"""Range of the part of the window in which a dash takes place."""
+POWERS = (0.3, 4.0)  # range of the power of time in a profile that is not one of the attack suite's
+LAST_PARTS = (0.1, 0.6)  # range of the part of the window in which a dash takes place
 
 
 class TrainingAttacks:
@@ -85,8 +82,10 @@ class TrainingAttacks:
         optima: Sequence[Sequence[float]] = (),
         spoofers: Sequence[Spec] = (),
     ) -> None:
+        labels = []
         for spec in spoofers:
             made = make_spoofer(spec)
+            labels.append(str(made.label or spec["name"]))
             if not made.transmits:
                 raise ValueError(f"the spoofer {spec['name']!r} transmits nothing: it is no attack")
             watched = setup.copy_with(monitors=monitors_for([made], setup))
@@ -96,7 +95,7 @@ class TrainingAttacks:
         self._makers: dict[str, Callable[[np.random.Generator, float], Spec]] = {
             name: getattr(self, f"_{name.replace('-', '_')}") for name in families
         }
-        self.families = (*families, *(label_spoofer(spec) for spec in spoofers))
+        self.families = (*families, *labels)
 
     def draw(self, rng: np.random.Generator) -> tuple[int, Spec]:
         """Family, by its number, and settings of one attack; all families are as likely."""
@@ -118,7 +117,6 @@ class TrainingAttacks:
         return self._context.steps * self._context.interval_s
 
     def _rate(self, rate: float) -> float:
-        """A rate that the attack allows."""
         return round_setting(min(rate, self._context.largest_rate[1]))
 
     def _ramp(self, rng: np.random.Generator, goal_m: float) -> Spec:
@@ -185,12 +183,7 @@ def check_not_held_out(attack: Any, task: str | None) -> None:
         )
 
 
-def label_spoofer(spec: Spec) -> str:
-    return str(make_spoofer(spec).label or spec["name"])
-
-
 def log_uniform(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
-    """A number whose logarithm is uniform."""
     return math.exp(rng.uniform(math.log(bounds[0]), math.log(bounds[1])))
 
 

@@ -188,7 +188,6 @@ def mark_detector(summary: Row, detector: str) -> str:
 
 
 def _name_comparison(row: Row) -> str:
-    """What a comparison is of."""
     return row["score"] if row["spoofer"] is None else f"{row['score']}, {row['spoofer']}"
 
 
@@ -347,7 +346,6 @@ COMPARISONS = Table(
 
 
 def known_spoofers(summary: Row) -> dict[str, Row]:
-    """What the spoofers know, by their labels."""
     return {cell["spoofer"]: cell["knowledge"] for cell in summary["cells"]}
 
 
@@ -412,7 +410,6 @@ def markdown(results: CampaignResults, summary: Row) -> str:
 
 
 def print_campaign(summary: Row) -> None:
-    """Print the tables of a campaign."""
     notes = [
         *list_limit_notes(summary),
         *(f"No zero-alarm bound of {x}." for x in bound_notes(summary)),

@@ -24,8 +24,7 @@ SCORES = Table(
     ("without attack [%]", attrgetter("clean_alarm_rate"), share(1)),
     ("budget [%]", lambda x: f"{100 * x.budget:g}"),
 )
-SHOWN = 60
-"""Letters of a long list or text that are shown."""
+SHOWN = 60  # letters of a long list or text that are shown
 
 
 def find_card(name: str) -> Card:
@@ -112,7 +111,6 @@ def _names(names: tuple[str, ...]) -> str:
 
 
 def _settings(word: str, settings: dict[str, Any]) -> list[tuple[str, str]]:
-    """A row for each setting."""
     rows = []
     for key, value in settings.items():
         text = value if isinstance(value, str) else json.dumps(value)

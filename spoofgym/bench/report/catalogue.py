@@ -16,7 +16,7 @@ from ...policies import SpooferCard, list_shipped, load_card
 from ...policies.card import SPOOFER
 from ...simulation.setup import Setup
 from ...spoofers import SPOOFERS
-from ...truth.scenario import SCENARIOS, Scenario
+from ...truth.scenario import SCENARIOS
 from .cards import score_text
 from .table import Table
 
@@ -51,22 +51,15 @@ def _defaults(kind: Callable[..., Any], setup: type[Setup] | None = None) -> dic
 
 
 def _scenarios() -> list[dict[str, Any]]:
-    return [_scenario(name, build()) for name, build in SCENARIOS.items()]
-
-
-def _scenario(name: str, made: Scenario) -> dict[str, Any]:
-    flight = made.flight if isinstance(made.flight, str) else made.flight.name
-    errors = made.errors if isinstance(made.errors, str) else type(made.errors).__name__
-    plain = ("imu", "epoch_interval_s", "channels", "mask_deg")
-    return {
-        "name": name,
-        "summary": f"flight {flight}, errors {errors}, {made.imu} inertial sensors",
-        "settings": {
-            "flight": flight,
-            "errors": errors,
-            **{key: getattr(made, key) for key in plain},
-        },
-    }
+    shown = ("flight", "errors", "imu", "epoch_interval_s", "channels", "mask_deg")
+    return [
+        {
+            "name": name,
+            "summary": f"flight {made.flight}, errors {made.errors}, {made.imu} inertial sensors",
+            "settings": {key: getattr(made, key) for key in shown},
+        }
+        for name, made in ((name, build()) for name, build in SCENARIOS.items())
+    ]
 
 
 def _envs() -> list[dict[str, Any]]:
@@ -188,5 +181,4 @@ def list_settings(kind: str, name: str) -> list[dict[str, Any]]:
 
 
 def select_table(kind: str) -> Table:
-    """Table of one of `KINDS`."""
     return SHIPPED if kind == "shipped" else NAMED

@@ -34,8 +34,7 @@ MARKERS = {
     "profile": ("s", "-."),
 }
 """Marker and dashes of spoofers by name; those of all others are a star and dashes."""
-SMALLEST_M = 0.05
-"""Displacements below it lie on the edge of the picture."""
+SMALLEST_M = 0.05  # displacements below it lie on the edge of the picture
 
 
 class Look(NamedTuple):
@@ -226,10 +225,8 @@ def draw_course(ax: Axes, cells: dict[str, RunRecord], look: dict[str, Look]) ->
     ax.set_xlabel("time since the onset [s] (X: half of the runs have alarmed)")
 
 
-COLUMNS = 4
-"""Detectors side by side; more of them start another block."""
-ROWS_IN = (3.2, 3.2, 3.2)
-"""Heights of the panels below the one of the means, in inches."""
+COLUMNS = 4  # detectors side by side; more of them start another block
+ROWS_IN = (3.2, 3.2, 3.2)  # heights of the panels below the one of the means, in inches
 LABELS = (
     "stealthy displacement [m]",
     "P(undetected displacement > limit)",

@@ -44,8 +44,7 @@ Record = dict[str, Any]
 SENSORS = {"unknown": False, "known": True}
 """Whether the constants of the inertial sensors are known, by the word for it."""
 HEADINGS = ("known", "unknown")
-TIMES = 12
-"""Times of the command phase at which a picture has the floor."""
+TIMES = 12  # times of the command phase at which a picture has the floor
 DRAWN = {
     "half": (BLUE, "found in half of the runs"),
     "certain": (ORANGE, "missed in one of a thousand"),
@@ -101,7 +100,7 @@ def build_limit_record(
         "budget": budget,
         "floors_m": {
             heading: {
-                purpose: {name: _as_json(value) for name, value in cell.items()}
+                purpose: {name: _json(value) for name, value in cell.items()}
                 for purpose, cell in compute_lower_limits(frontier, p_fa, budget, heading).items()
             }
             for heading in HEADINGS
@@ -160,12 +159,11 @@ def divergence_record(
     return {**found, "holds": True, "why": "", "bounds": bounds}
 
 
-def _json(value: float | None) -> float | str:
+def _json(value: Any) -> Any:
+    """Number, or numbers of a list, with a word where there is no end."""
+    if isinstance(value, list):
+        return [_json(each) for each in value]
     return UNBOUNDED if value is None or math.isinf(value) else float(value)
-
-
-def _as_json(value: Any) -> Any:
-    return [_json(each) for each in value] if isinstance(value, list) else _json(value)
 
 
 def _spread(sizes: np.ndarray[Any, np.dtype[np.float64]]) -> Record:
@@ -253,8 +251,7 @@ def print_limits(record: Record) -> None:
     print(say.assumptions(record).rstrip())
 
 
-WIDTH = 140
-"""Characters of a line of the caption."""
+WIDTH = 140  # characters of a line of the caption
 
 
 def draw_lower_limits(record: Record, path: Path) -> Path:

@@ -15,8 +15,7 @@ from ..scores.statistics import interval as interval
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-WIDTH = 180
-"""Characters of a line where the output is no terminal."""
+WIDTH = 180  # characters of a line where the output is no terminal
 
 
 class Column(NamedTuple):
@@ -49,7 +48,6 @@ class Table:
         return tuple(column.title for column in self.columns)
 
     def __getitem__(self, title: str) -> Column:
-        """Column by its title."""
         return self.columns[self.titles.index(title)]
 
     def texts(self, rows: Iterable[Any]) -> list[tuple[str, ...]]:
@@ -95,8 +93,7 @@ class Table:
         console.print(shown)
 
 
-FIELDS = Table.of_texts("", "")
-"""Names and values."""
+FIELDS = Table.of_texts("", "")  # names and values
 
 
 def percent(estimate: Mapping[str, float | None], digits: int = 1) -> str:

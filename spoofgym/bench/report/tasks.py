@@ -9,14 +9,13 @@ from operator import itemgetter
 from typing import Any
 
 from ...core.registry import format_label
-from ...tasks import DETECTOR_TASKS, TASKS, DetectorTask, v2
+from ...tasks import DETECTOR_TASKS, TASKS, DetectorTask, Task, v2
 from ..experiments.suite import list_task_detectors
 from .campaign import OVER, attack_of_suite, bound_text, format_spoofer
 from .table import Table, format_number, interval, metres, percent, share
 
 Card = dict[str, Any]
-FILE = "task_cards.json"
-"""Stored with this module; made by `tools.task_cards`."""
+FILE = "task_cards.json"  # stored with this module; made by `tools.task_cards`
 SCORES = {
     "ramp": "blind",
     "accelerating-ramp": "blind",
@@ -108,8 +107,7 @@ ADMISSION = Table(
 )
 
 
-DETECTOR_FILE = "detector_cards.json"
-"""Stored with this module; made by `tools.detector_cards`."""
+DETECTOR_FILE = "detector_cards.json"  # stored with this module; made by `tools.detector_cards`
 COMMANDS = {"S": "python -m tools.task_cards {}", "D": "python -m tools.detector_cards {}"}
 """That play the cards of tasks, by the letter of these."""
 
@@ -134,35 +132,18 @@ def missing() -> dict[str, str]:
 
 def list_tasks() -> list[Card]:
     """All tasks with their cards, JSON-able."""
-    cards, detector_cards, absent = stored_cards(), stored_detector_cards(), missing()
-    tasks = [
-        {
-            "key": key,
-            "suite": task.suite,
-            "env_id": task.env_id,
-            "title": task.title,
-            "historical": task.historical,
-            "alert_limit_m": task.alert_limit_m,
-            "card": cards.get(key),
-            "play": absent.get(key),
-        }
-        for key, task in TASKS.items()
-    ]
-    detector_tasks = [
-        {
-            "key": key,
-            "suite": task.suite,
-            "env_id": task.env_id,
-            "title": task.title,
-            "alert_limit_m": task.alert_limit_m,
-            "public": [each.key for each in task.public],
-            "held_out": [each.key for each in task.held_out],
-            "card": detector_cards.get(key),
-            "play": absent.get(key),
-        }
-        for key, task in DETECTOR_TASKS.items()
-    ]
-    return [*tasks, *detector_tasks]
+    cards, absent = {**stored_cards(), **stored_detector_cards()}, missing()
+    rows = []
+    every: dict[str, Task | DetectorTask] = {**TASKS, **DETECTOR_TASKS}
+    for key, task in every.items():
+        row = {name: getattr(task, name) for name in ("suite", "env_id", "title", "alert_limit_m")}
+        if isinstance(task, DetectorTask):
+            row["public"] = [each.key for each in task.public]
+            row["held_out"] = [each.key for each in task.held_out]
+        else:
+            row["historical"] = task.historical
+        rows.append({"key": key, **row, "card": cards.get(key), "play": absent.get(key)})
+    return rows
 
 
 def _format_share(estimate: Card) -> str:
@@ -240,7 +221,6 @@ DETECTOR_TASK_LIST = Table(
 
 
 def print_tasks() -> None:
-    """Print all tasks, with the scores that are known."""
     TASK_LIST.print("for spoofers", TASKS.items())
     if rows := task_rows():
         TASK_SCORES.print("stealthy displacement", rows)

@@ -16,15 +16,13 @@ from ...core.registry import whole_number
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
 from ...spoofers.base import AXES
-from .play import SpooferController, list_attack_epochs, to_local
+from .play import FloatArray, SpooferController, list_attack_epochs, to_local
 from .players import PlayerSpec
 from .record import undetected_displacement
 from .world import World
 
-FloatArray = NDArray[np.float64]
 TITLE_WIDTH = 100  # characters of a line
-ATTACKED, TWIN = 0, 1
-"""Columns of the two receivers."""
+ATTACKED, TWIN = 0, 1  # columns of the two receivers
 
 
 def alarm_intervals(alarm: NDArray[np.bool_], time_s: FloatArray) -> list[tuple[float, float]]:

@@ -27,11 +27,9 @@ from ...spoofers import make_spoofer
 from ...spoofers.base import sees_statistics
 from ...tasks import CANDIDATES, NEAR_ALARM_S, SWITCH_WITHIN_S, TURNING_DEGPS
 from ...truth.sensors import draw_source_keys
-from .play import PanelDetectors, Runs, WarmStart, get_traits, play_side_by_side
-from .record import RunRecord, compute_displacement, mask_valid_runs
+from .play import FloatArray, PanelDetectors, Runs, WarmStart, get_traits, play_side_by_side
+from .record import Mask, RunRecord, compute_displacement, mask_valid_runs
 
-FloatArray = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Rngs = Callable[[], list[np.random.Generator]]
 """Makes the generators of runs, each time as they were."""
 BLOCK, MOST_TRIED = 512, 400_000
@@ -133,8 +131,7 @@ class PanelAttack(NamedTuple):
         return repr(tuple(self))
 
 
-Numbers = tuple[int, ...]
-"""Which detectors of a panel, in their order."""
+Numbers = tuple[int, ...]  # which detectors of a panel, in their order
 T = TypeVar("T")
 Search = Generator[list[PanelAttack], list[Runs], T]
 """Yields attacks, is sent what a detector makes of them, and returns what it has found."""
@@ -163,7 +160,6 @@ class Panel:
         )
 
     def _build_setup(self, numbers: Numbers) -> Setup:
-        """The world with some of the detectors."""
         if len(self.judges) == 1:
             return self.world.copy_with(detector=self.judges[0], monitors=self._watched)
         panel = PanelDetectors([self.judges[k] for k in numbers], numbers)
@@ -188,7 +184,6 @@ class Panel:
 
     @property
     def runs(self) -> int:
-        """R."""
         return self.start.receivers
 
     def play(
@@ -291,7 +286,6 @@ class Panel:
         return self._alone[numbers[0]].take(rows)
 
     def record(self, number: int, attacked: Runs, head: dict[str, Any]) -> RunRecord:
-        """What a detector makes of an attack on all runs."""
         moved = compute_displacement(self.setup, attacked, self.clean[number])
         records = {
             "warmup_alarm": self.warmup_alarm[:, number],

@@ -27,14 +27,11 @@ from ...spoofers.build import card_behind, spec_of_spoofer
 from ...spoofers.learned import ModelPolicy, read_training_env
 from ...spoofers.scaled import AMPLITUDE, SMALLEST, Scaled
 
-Seeds = frozenset[tuple[int, str]]
-"""Entropy and split of runs."""
+Seeds = frozenset[tuple[int, str]]  # entropy and split of runs
 ATTACK = "attack"
 """A third side: an attack needs no spoofer, and its setting is the distance of an antenna."""
-OUT = 1e-6
-"""Probability below which a strategy is taken to be out of a mix."""
-TUNED = "tuned"
-"""Value of a spoofer's setting that is to be searched for."""
+OUT = 1e-6  # probability below which a strategy is taken to be out of a mix
+TUNED = "tuned"  # value of a spoofer's setting that is to be searched for
 DEFAULT_DETECTORS: tuple[Spec, ...] = ({"name": "snapshot-chi2"}, {"name": "ewma"})
 DEFAULT_SPOOFERS: tuple[Spec, ...] = (
     {"name": "none"},
@@ -112,7 +109,6 @@ class PlayerSpec:
         return (detector_in_world if self.side == DETECTOR else make_spoofer)(self.fixed_spec)
 
     def as_config(self) -> dict[str, Any]:
-        """What a campaign is known by."""
         return {"label": self.label, "spec": self.spec}
 
     def as_json(self) -> dict[str, Any]:
@@ -125,7 +121,6 @@ class PlayerSpec:
 
     @classmethod
     def from_json(cls, side: str, data: Mapping[str, Any]) -> PlayerSpec:
-        """Inverse of `as_json`."""
         seeds = frozenset((int(entropy), str(split)) for entropy, split in data["decided_on"])
         known = data.get("knowledge", "")
         return cls(data["label"], side, data["spec"], knowledge=known, decided_on=seeds)
@@ -338,11 +333,7 @@ def specify_player(given: Any, side: str) -> PlayerSpec:
 
 
 def make_player(
-    given: Any,
-    side: str,
-    *,
-    label: str | None = None,
-    decided_on: Iterable[tuple[int, str]] = (),
+    given: Any, side: str, *, label: str | None = None, decided_on: Iterable[tuple[int, str]] = ()
 ) -> PlayerSpec:
     """Pure strategy of a spoofer or a detector, with what it was decided on.
 
@@ -436,12 +427,10 @@ def specify_strategy(given: Any, side: str) -> Strategy:
 
 
 def oracle_labels(entries: tuple[PlayerSpec, ...]) -> list[str]:
-    """Labels of the detectors that know the attack."""
     return [entry.label for entry in entries if entry.build().oracle]
 
 
 def refuse_oracles(entries: tuple[PlayerSpec, ...]) -> None:
-    """Raise where a detector knows the attack."""
     labels = oracle_labels(entries)
     if labels:
         raise ValueError(

@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...envs import _kernels
 from ...simulation.setup import Setup
-from .play import Runs, compute_induced_offset, horizontal, induced_error, off_truth
+from .play import FloatArray, Runs, compute_induced_offset, horizontal, induced_error, off_truth
 
-FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 PERCENTILES = (5, 50, 95)
 
@@ -53,7 +52,6 @@ class RunRecord:
 
     @property
     def runs(self) -> int:
-        """R."""
         return len(self.records["first_alarm"])
 
     @property
@@ -63,7 +61,6 @@ class RunRecord:
 
     @property
     def interval_s(self) -> float:
-        """Time between epochs."""
         return float(self.head["interval_s"])
 
     @property
@@ -92,7 +89,6 @@ class RunRecord:
 
     @classmethod
     def from_parts(cls, arrays: Mapping[str, NDArray[Any]], record: Mapping[str, Any]) -> RunRecord:
-        """Inverse of `parts`."""
         return cls(record["head"], dict(arrays), record["series"])
 
 
@@ -175,8 +171,7 @@ def record_runs(
     return RunRecord({**head, **lengths}, records, series)
 
 
-STANFORD = ("nominal", "misleading", "hazardous", "unavailable")
-"""Parts of the Stanford diagram."""
+STANFORD = ("nominal", "misleading", "hazardous", "unavailable")  # parts of the Stanford diagram
 
 
 def count_stanford(
@@ -310,7 +305,6 @@ class Protection:
     def from_parts(
         cls, arrays: Mapping[str, NDArray[Any]], record: Mapping[str, Any]
     ) -> Protection:
-        """Inverse of `parts`."""
         winners = []
         for n, each in enumerate(record["winners"]):
             aims = tuple(Aim(**aim) for aim in each["aims"])

@@ -138,7 +138,6 @@ class World:
         return make_generators(seed_sequences(entropy, split, self.setup.name, runs, first))
 
     def judge(self, detector: PlayerSpec) -> Detector:
-        """Detector with its thresholds of this world."""
         judge: Detector = detector.build()
         resolve_thresholds(judge, self.setup)
         return judge
@@ -184,7 +183,6 @@ class World:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """All settings, JSON-able."""
         return {
             "env": self.env,
             **self._describe_victim(),

@@ -24,7 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,7 @@ from .statistics import (
 )
 
 AMPLITUDE = "amplitude"
+PARTS = ("amplitudes", "alarm_amplitude", "alarmed", "sky")  # arrays that are stored as they are
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,9 @@ class AlarmCurve:
     - `sky` (R,) under which each run flew;
     - `chosen`: the one of the amplitudes that is at the budget, rounded down to four digits;
     - `silent_share` of some runs that alarm at no amplitude within the range;
-    - `elasticity` of amplitude and measures in the threshold, at a constant share of alarms.
+    - `elasticity` of amplitude and measures in the threshold, at a constant share of alarms;
+    - `factors` (S,) on the thresholds, as drawn from their calibration, S being `RESAMPLES`; None
+      where the threshold is no estimate.
     """
 
     amplitudes: FloatArray
@@ -65,10 +68,10 @@ class AlarmCurve:
     chosen: float
     silent_share: float = math.nan
     elasticity: Mapping[str, float] = field(default_factory=dict)
+    factors: FloatArray | None = None
 
     @property
     def runs(self) -> int:
-        """R."""
         return len(self.alarm_amplitude)
 
     def fit(self, budget: float, samples: FloatArray) -> FloatArray:
@@ -87,41 +90,27 @@ class AlarmCurve:
         each, part = np.arange(len(at)), np.clip(part, 0.0, 1.0)
         return np.asarray((1.0 - part) * means[each, low] + part * means[each, low + 1])
 
-
-class AlarmTrace(NamedTuple):
-    """An attack around the budget, and the factors on the thresholds that are drawn (S,), or None
-    where the threshold is no estimate."""
-
-    curve: AlarmCurve
-    factors: FloatArray | None
-
     def parts(self) -> dict[str, NDArray[Any]]:
         """Arrays of what another attack is compared with."""
-        curve, name = self.curve, MEASURES[0]
+        name = MEASURES[0]
         found: dict[str, NDArray[Any]] = {
-            "amplitudes": curve.amplitudes,
-            "alarm_amplitude": curve.alarm_amplitude,
-            "alarmed": curve.alarmed,
-            "sky": curve.sky,
-            name: curve.displacement[name].astype(np.float32),
-            "elasticity": np.array(curve.elasticity.get(name, 0.0)),
+            **{part: getattr(self, part) for part in PARTS},
+            name: self.displacement[name].astype(np.float32),
+            "elasticity": np.array(self.elasticity.get(name, 0.0)),
         }
         return found if self.factors is None else {**found, "factors": self.factors}
 
     @classmethod
-    def from_parts(cls, arrays: Mapping[str, NDArray[Any]], chosen: float) -> AlarmTrace:
-        """Inverse of `parts`, with `AlarmCurve.chosen`."""
-        name = MEASURES[0]
-        curve = AlarmCurve(
-            amplitudes=arrays["amplitudes"],
-            alarm_amplitude=arrays["alarm_amplitude"],
+    def from_parts(cls, arrays: Mapping[str, NDArray[Any]], chosen: float) -> AlarmCurve:
+        """Inverse of `parts`, with `chosen`."""
+        name, whole = MEASURES[0], {part: arrays[part] for part in PARTS}
+        return cls(
+            **cast("Any", whole),
             displacement={name: arrays[name].astype(np.float64)},
-            alarmed=arrays["alarmed"],
-            sky=arrays["sky"],
             chosen=chosen,
             elasticity={name: float(arrays["elasticity"])},
+            factors=arrays.get("factors"),
         )
-        return cls(curve, arrays.get("factors"))
 
 
 class AtBudget(NamedTuple):
@@ -161,16 +150,14 @@ def _draw(sky: NDArray[np.int64]) -> FloatArray:
     return np.concatenate([np.ones((1, len(sky))), drawn])
 
 
-def _scores(
-    curve: AlarmCurve, budget: float, samples: FloatArray, factors: FloatArray | None
-) -> dict[str, FloatArray]:
+def _scores(curve: AlarmCurve, budget: float, samples: FloatArray) -> dict[str, FloatArray]:
     """(1 + S,) amplitude and displacements in samples, the first of which is the estimate."""
     at = curve.fit(budget, samples)
     found = {AMPLITUDE: at} | {
         name: curve.compute_mean(values, at, samples) for name, values in curve.displacement.items()
     }
-    if factors is not None:
-        drawn = np.concatenate([[1.0], factors])
+    if curve.factors is not None:
+        drawn = np.concatenate([[1.0], curve.factors])
         found = {name: x * drawn ** curve.elasticity.get(name, 0.0) for name, x in found.items()}
     return found
 
@@ -179,16 +166,12 @@ def _estimate(drawn: FloatArray) -> Estimate:
     return percentiles(float(drawn[0]), drawn[1:])
 
 
-def score_at_budget(
-    curve: AlarmCurve, budget: float, factors: FloatArray | None = None
-) -> AtBudget:
-    """Score of an attack at exactly a budget. `factors` (S,) on the thresholds, as drawn from their
-    calibration, S being `RESAMPLES`; None where the threshold is no estimate."""
+def score_at_budget(curve: AlarmCurve, budget: float) -> AtBudget:
     if not curve.runs:
         nothing = dict.fromkeys(curve.displacement, NOTHING)
         return AtBudget(budget, NOTHING, math.nan, nothing, False, 0, curve.silent_share)
     samples = _draw(curve.sky)
-    drawn = _scores(curve, budget, samples, factors)
+    drawn = _scores(curve, budget, samples)
     at = drawn.pop(AMPLITUDE)
     rate = curve.compute_mean(curve.alarmed.astype(np.float64), at[:1], samples[:1])
     return AtBudget(
@@ -202,9 +185,7 @@ def score_at_budget(
     )
 
 
-def compare_at_budget(
-    first: AlarmCurve, second: AlarmCurve, budget: float, factors: FloatArray | None = None
-) -> Estimate:
+def compare_at_budget(first: AlarmCurve, second: AlarmCurve, budget: float) -> Estimate:
     """Displacement of the first less that of the second, of runs that are not the same [m]. Their
     skies are drawn together, and so is the threshold."""
     if not first.runs or not second.runs:
@@ -212,15 +193,13 @@ def compare_at_budget(
     both = _draw(np.concatenate([first.sky, second.sky]))
     parts = both[:, : first.runs], both[:, first.runs :]
     x, y = (
-        _scores(curve, budget, samples, factors)[MEASURES[0]]
+        _scores(curve, budget, samples)[MEASURES[0]]
         for curve, samples in zip((first, second), parts, strict=True)
     )
     return _estimate(x - y)
 
 
-def ratio_at_budget(
-    first: AlarmCurve, second: AlarmCurve, budget: float, factors: FloatArray | None = None
-) -> Estimate:
+def ratio_at_budget(first: AlarmCurve, second: AlarmCurve, budget: float) -> Estimate:
     """Displacement of the first over that of the second on the same runs. Both amplitudes are
     fitted again in every draw, of runs and of the threshold, which they share."""
     if not np.array_equal(first.sky, second.sky):
@@ -228,14 +207,13 @@ def ratio_at_budget(
     if not first.runs:
         return NOTHING
     samples = _draw(first.sky)
-    x, y = (_scores(curve, budget, samples, factors)[MEASURES[0]] for curve in (first, second))
+    x, y = (_scores(curve, budget, samples)[MEASURES[0]] for curve in (first, second))
     return _estimate(x / y)
 
 
-def score_best(traces: Sequence[AlarmTrace], budget: float) -> Estimate:
+def score_best(curves: Sequence[AlarmCurve], budget: float) -> Estimate:
     """Displacement of the best of several attacks on the same runs [m], chosen on one half of the
     runs and scored on the other, both ways round; choices are made again in every draw."""
-    curves, factors = [each.curve for each in traces], traces[0].factors
     sky, runs = curves[0].sky, curves[0].runs
     if runs < 2:
         return NOTHING
@@ -243,7 +221,7 @@ def score_best(traces: Sequence[AlarmTrace], budget: float) -> Estimate:
     half[np.argsort(sky, kind="stable")] = np.arange(runs) % 2  # every sky is halved
     samples = _draw(sky)
     halves = [
-        np.array([_scores(x, budget, samples * (half == h), factors)[MEASURES[0]] for x in curves])
+        np.array([_scores(x, budget, samples * (half == h))[MEASURES[0]] for x in curves])
         for h in (0, 1)
     ]
     each = np.arange(len(samples))

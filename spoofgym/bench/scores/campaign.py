@@ -7,28 +7,23 @@ interval lies above 0.  Detectors at different rates are never compared, and non
 thresholds is.  A spoofer that reads the detector's statistic obeys that of a lottery, too, which it
 could ignore: against such a one `never` alone is a control.
 
-The bracket of a detector:
-
-1. The *floor* is what even a perfect detector would allow at the same rate of false alarms.
-2. The *open-loop attack* is the best open-loop attack that was found within the alarm budget.
-3. The *zero-alarm bound* is what no attack exceeds in the mean without an alarm of its own doing.
-
-The best attack below the floor says that the search has failed; its whole interval has to lie
-there, so that chance alone does not say it.  A mean may lie above the zero-alarm bound, since the
-budget pays for some alarms; it is marked where it does by more than two standard errors and 1 %.
+The bracket of a detector has its floor, the best open-loop attack that was found within the alarm
+budget, and its zero-alarm bound (`search.bounds`).  The best attack below the floor says that the
+search has failed; its whole interval has to lie there, so that chance alone does not say it.  A
+mean may lie above the zero-alarm bound, since the budget pays for some alarms; it is marked where
+it does by more than two standard errors and 1 %.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...detectors.base import MISSED
-from ...detectors.calibration_file import hourly_rate
 from ...spoofers.base import sees_statistics
 from ..runs.record import (
     MEASURES,
@@ -45,6 +40,7 @@ from .scores import (
     bootstrap_quantile,
     by_chance,
     missed_in_time,
+    per_hour,
     score_stealth,
     select_clusters,
     survival,
@@ -52,6 +48,7 @@ from .scores import (
 from .statistics import (
     NOTHING,
     Estimate,
+    FloatArray,
     bootstrap_mean,
     clopper_pearson,
     clustered_proportion,
@@ -62,8 +59,7 @@ from .statistics import (
     wilson,
 )
 
-NOMINAL = "nominal"
-"""Footing of detectors of which no rate was requested."""
+NOMINAL = "nominal"  # footing of detectors of which no rate was requested
 
 
 def operating_point(config: Mapping[str, Any], detector: str) -> dict[str, Any]:
@@ -99,7 +95,7 @@ def score_detector(clean: RunRecord) -> dict[str, Any]:
         "detector": clean.detector,
         "window_s": window_s,
         "false_alarm_per_run": per_run.as_json(),
-        "false_alarms_per_hour": _per_hour(per_run, window_s),
+        "false_alarms_per_hour": per_hour(per_run, window_s),
         "false_alarm_per_epoch": clustered_proportion(
             records["alarm_epochs"], clean.window
         ).as_json(),
@@ -130,15 +126,6 @@ def score_protection_level(clean: RunRecord) -> dict[str, Any]:
     return {"protection_level": {"median_m": level, "missed": MISSED, **shares}}
 
 
-def _per_hour(per_run: Estimate, window_s: float) -> dict[str, float | None]:
-    """Rate of a probability for a run; None where every run alarms, and nothing is known."""
-    rates = (hourly_rate(each, window_s) for each in per_run)
-    return {
-        name: round(rate, 6) if np.isfinite(rate) else None
-        for name, rate in zip(Estimate._fields, rates, strict=True)
-    }
-
-
 def round_number(value: Any) -> float:
     """Number as it is written down."""
     return round(float(value), 4)
@@ -149,30 +136,37 @@ def compute_mean(x: NDArray[Any]) -> float | None:
     return round_number(x.mean()) if len(x) else None
 
 
-FloatArray = NDArray[np.float64]
-CONTROLS = ("never", "lottery")
-"""Names of the negative controls."""
-ANY_RATE = "any"
-"""Footing of a detector that never alarms: it has no rate, and is compared at any."""
+CONTROLS = ("never", "lottery")  # names of the negative controls
+ANY_RATE = "any"  # footing of a detector that never alarms: it has no rate, and is compared at any
 FalseAlarmGroups = Mapping[str, str]
+Gap = tuple[str, str | None, Estimate, float]
+"""Score, spoofer, difference of a detector to a control, and the control's own score [m]."""
 
 
 def compare_controls(
-    cells: Sequence[RunRecord],
-    protections: Sequence[Protection],
-    footings: FalseAlarmGroups,
+    cells: Sequence[RunRecord], protections: Sequence[Protection], footings: FalseAlarmGroups
 ) -> list[dict[str, Any]]:
     """Paired differences, detector less control, over the runs that count for both. Returns a row
     for each score: ``score``, ``spoofer`` or None, ``detector``, ``control``, ``difference_m``,
     ``above`` where its interval lies above 0, ``below`` where it lies below by more than `ALIKE` of
     what the control lets through."""
-    found = []
-    for control in controls(footings):
-        for detector in footings:
-            if comparable(footings, detector, control):
-                found += _displacements(cells, detector, control)
-                found += _protections(protections, detector, control)
-    return found
+    pairs = [(d, c) for c in controls(footings) for d in footings if comparable(footings, d, c)]
+    return [
+        {
+            "score": score,
+            "spoofer": spoofer,
+            "detector": detector,
+            "control": control,
+            "difference_m": difference.as_json(),
+            "above": bool(difference.low > 0.0),
+            "below": bool(difference.high < -ALIKE * size),
+        }
+        for detector, control in pairs
+        for score, spoofer, difference, size in (
+            *_compare_displacements(cells, detector, control),
+            *_compare_protections(protections, detector, control),
+        )
+    ]
 
 
 def controls(footings: FalseAlarmGroups) -> list[str]:
@@ -192,9 +186,10 @@ def comparable(footings: FalseAlarmGroups, detector: str, other: str) -> bool:
     return mine == theirs or ANY_RATE in (mine, theirs)
 
 
-def _displacements(cells: Sequence[RunRecord], detector: str, control: str) -> list[dict[str, Any]]:
+def _compare_displacements(
+    cells: Sequence[RunRecord], detector: str, control: str
+) -> Iterator[Gap]:
     by_pair = {(cell.detector, cell.spoofer): cell for cell in cells}
-    found = []
     for (label, spoofer), mine in by_pair.items():
         theirs = by_pair.get((control, spoofer))
         if label != detector or spoofer == "none" or theirs is None:
@@ -207,28 +202,25 @@ def _displacements(cells: Sequence[RunRecord], detector: str, control: str) -> l
         samples = draw_resamples(select_clusters(mine.sky)[both])
         difference = bootstrap_mean(gap[both], samples)
         size = float(theirs.displacement_m[both].mean()) if both.any() else 0.0
-        found.append(_row("stealthy displacement", spoofer, detector, control, difference, size))
-    return found
+        yield STEALTHY, spoofer, difference, size
 
 
-def _protections(
+def _compare_protections(
     protections: Sequence[Protection], detector: str, control: str
-) -> list[dict[str, Any]]:
+) -> Iterator[Gap]:
     """Displacement that the worst attack exceeds, by share."""
     by_label = {each.detector: each for each in protections}
     mine, theirs = by_label.get(detector), by_label.get(control)
     if mine is None or theirs is None:
-        return []
-    found = []
+        return
     for share in SHARES:
         aim = Aim(MEASURES[0], share)
         x, y = (each.worst(aim).displacement[aim.measure] for each in (mine, theirs))
         both = mine.counts & theirs.counts
         samples = draw_resamples(select_clusters(mine.sky)[both])
         difference = _compare_quantiles(x[both], y[both], samples, share)
-        word, size = f"protection {100 * share:g} %", compute_upper_quantile(y[both], share)
-        found.append(_row(word, None, detector, control, difference, size))
-    return found
+        size = compute_upper_quantile(y[both], share)
+        yield f"protection {100 * share:g} %", None, difference, size
 
 
 def _compare_quantiles(x: FloatArray, y: FloatArray, samples: FloatArray, share: float) -> Estimate:
@@ -240,38 +232,14 @@ def _compare_quantiles(x: FloatArray, y: FloatArray, samples: FloatArray, share:
     )
 
 
-def _row(
-    score: str,
-    spoofer: str | None,
-    detector: str,
-    control: str,
-    difference: Estimate,
-    size: float,
-) -> dict[str, Any]:
-    """A difference, and on which side of 0 its interval lies; `size` of the control's [m]."""
-    return {
-        "score": score,
-        "spoofer": spoofer,
-        "detector": detector,
-        "control": control,
-        "difference_m": difference.as_json(),
-        "above": bool(difference.low > 0.0),
-        "below": bool(difference.high < -ALIKE * size),
-    }
-
-
 STEALTHY, HALF = "stealthy displacement", "exceeded in 50 %"
 """Scores that have a floor, as the marks name them."""
-PURPOSES = {STEALTHY: "stealthy", HALF: "half"}
-"""Which floor is each score's."""
-ERRORS = 2.0
-"""Standard errors by which a mean has to lie above a bound."""
+PURPOSES = {STEALTHY: "stealthy", HALF: "half"}  # which floor is each score's
+ERRORS = 2.0  # standard errors by which a mean has to lie above a bound
 FIRST_ORDER = 0.01
 """Part of a bound by which it has to do so, too: bounds are of first order, at one heading."""
-NORMAL_95 = 1.96
-"""Half width of a 95 % interval, in standard errors."""
-SAME_RATE = 1e-6
-"""Relative difference of two rates of false alarms that are the same one."""
+NORMAL_95 = 1.96  # half width of a 95 % interval, in standard errors
+SAME_RATE = 1e-6  # relative difference of two rates of false alarms that are the same one
 Limits = dict[str, Any]
 Row = dict[str, Any]
 
@@ -392,8 +360,7 @@ def _above(reached: Row, bound: Row) -> bool:
     return float(reached["value"]) - value > max(ERRORS * error, FIRST_ORDER * value)
 
 
-SURVIVAL_TIMES = 8
-"""At how many times the share of undetected attacks is reported."""
+SURVIVAL_TIMES = 8  # at how many times the share of undetected attacks is reported
 
 
 def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[str, Any]:

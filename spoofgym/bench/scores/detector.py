@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...detectors.calibration_file import hourly_rate
 from ..runs.record import MEASURES, Aim, Protection, Winner
-from .scores import SHARES, bootstrap_quantile, select_clusters
+from .scores import SHARES, bootstrap_quantile, per_hour, select_clusters
 from .statistics import (
     Estimate,
     FloatArray,
@@ -61,10 +60,8 @@ class FamilyScore(NamedTuple):
     def resample_hmi(self) -> FloatArray:
         """(S,) probability of hazardously misleading information under attack, in each bootstrap
         sample of the runs; every detector has the same samples."""
-        samples, counts = (
-            draw_resamples(select_clusters(self.protection.sky)),
-            self.protection.counts,
-        )
+        samples = draw_resamples(select_clusters(self.protection.sky))
+        counts = self.protection.counts
         hazard = (self.attack.displacement[MEASURES[0]] > self.alert_limit_m) & counts
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray((samples @ hazard) / (samples @ counts))
@@ -177,12 +174,6 @@ class DetectorScore:
 
     def as_dict(self) -> dict[str, Any]:
         plain = ("task", "detector", "alert_limit_m", "runs", "selection_runs", "entropy")
-        rate = self.false_alarm_rate()
-        hourly = (hourly_rate(each, self.window_s) for each in rate)
-        per_hour = {
-            name: round(x, 6) if math.isfinite(x) else None
-            for name, x in zip(Estimate._fields, hourly, strict=True)
-        }
         return {
             **{name: getattr(self, name) for name in plain},
             "p_hmi": self.p_hmi.as_json(),
@@ -194,7 +185,7 @@ class DetectorScore:
             "false_alarms": {
                 name: self.false_alarm_rate(name).as_json() for name in self.false_alarms
             },
-            "false_alarms_per_hour": per_hour,
+            "false_alarms_per_hour": per_hour(self.false_alarm_rate(), self.window_s),
         }
 
     def __str__(self) -> str:

@@ -64,7 +64,8 @@ def solve(payoff: ArrayLike) -> Equilibrium:
     worst, most = a.min(axis=1), a.max(axis=0)
     i, j = int(np.argmax(worst)), int(np.argmin(most))
     if worst[i] == most[j]:
-        return Equilibrium(_unit(a.shape[0], i), _unit(a.shape[1], j), float(worst[i]), True)
+        rows, columns = (np.eye(size)[k] for size, k in zip(a.shape, (i, j), strict=True))
+        return Equilibrium(rows, columns, float(worst[i]), True)
     low, size = float(a.min()), float(a.max() - a.min())
     rows, columns = _program((a - low) / size)
     guaranteed, conceded = float((rows @ a).min()), float((a @ columns).max())
@@ -128,7 +129,7 @@ def bootstrap_equilibrium(payoff: ArrayLike, resampled: ArrayLike) -> Spread:
     games = [solve(each) for each in drawn if np.isfinite(each).all()]
     if not games:
         raise ValueError("no bootstrap sample has all of its entries: there are too few runs")
-    values, rows, columns, pure = (np.array(part) for part in zip(*_parts(games), strict=True))
+    rows, columns, values, pure = (np.array(part) for part in zip(*games, strict=True))
     return Spread(
         percentiles(found.value, values),
         tuple(percentiles(float(p), each) for p, each in zip(found.spoofer, rows.T, strict=True)),
@@ -138,14 +139,6 @@ def bootstrap_equilibrium(payoff: ArrayLike, resampled: ArrayLike) -> Spread:
         float(pure.mean()),
         len(games),
     )
-
-
-def _parts(games: list[Equilibrium]) -> list[tuple[float, FloatArray, FloatArray, bool]]:
-    return [(each.value, each.spoofer, each.detector, each.pure) for each in games]
-
-
-def _unit(size: int, k: int) -> FloatArray:
-    return np.asarray(np.eye(size)[k])
 
 
 def _program(a: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -170,15 +163,6 @@ def _program(a: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 PAYOFFS = ("stealth", "hmi")
 RESAMPLES = 400
-
-
-class Played(NamedTuple):
-    """R runs of a pair: displacement undetected [m], alarm in the judged window, whether it
-    counts."""
-
-    displacement: FloatArray
-    alarmed: NDArray[np.bool_]
-    counts: NDArray[np.bool_]
 
 
 @settings_record(frozen=True)

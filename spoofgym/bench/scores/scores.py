@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from ...detectors.calibration_file import hourly_rate
 from ..runs.record import Mask, compute_upper_quantile
 from .statistics import (
     CONFIDENCE,
@@ -100,6 +101,15 @@ def select_clusters(sky: ArrayLike) -> NDArray[np.int64]:
     each run of a campaign, whether it counts or not."""
     under = np.asarray(sky, dtype=np.int64)
     return under if len(np.unique(under)) >= FEWEST_SKIES else np.arange(len(under))
+
+
+def per_hour(per_run: Estimate, window_s: float) -> dict[str, float | None]:
+    """Rate of a probability for a run; None where every run alarms, and nothing is known."""
+    rates = (hourly_rate(each, window_s) for each in per_run)
+    return {
+        name: round(rate, 6) if math.isfinite(rate) else None
+        for name, rate in zip(Estimate._fields, rates, strict=True)
+    }
 
 
 def bootstrap_quantile(displacement: ArrayLike, share: float, samples: FloatArray) -> Estimate:

@@ -1,6 +1,6 @@
 r"""Intervals of proportions and means over runs, bootstrap, and the alarm budget.
 
-Intervals are two-sided with 95 % confidence unless another one is requested.  Sources, keys in
+Intervals are two-sided with 95 % confidence.  Sources, keys in
 references.bib: `wilson1927` (proportions), `clopper1934` (exact, for rare alarms), `korn1998`
 (epochs that come in runs), `efron1979` (bootstrap).
 
@@ -40,7 +40,6 @@ class Estimate(NamedTuple):
 
     @classmethod
     def of(cls, data: Mapping[str, float | None]) -> Estimate:
-        """Inverse of `as_json`."""
         numbers = {key: math.nan if (x := data[key]) is None else x for key in cls._fields}
         return cls(**numbers)
 
@@ -75,7 +74,7 @@ def _digits(size: float) -> int:
     return 0 if size >= 100.0 else 1 if size >= 1.0 else 2
 
 
-def wilson(events: int, trials: int, confidence: float = CONFIDENCE) -> Estimate:
+def wilson(events: int, trials: int) -> Estimate:
     r"""Proportion with Wilson's score interval.
 
     .. math:: \frac{1}{1 + z^2/n} \left( \hat p + \frac{z^2}{2n}
@@ -83,11 +82,11 @@ def wilson(events: int, trials: int, confidence: float = CONFIDENCE) -> Estimate
     """
     if trials == 0:
         return NOTHING
-    interval = stats.binomtest(events, trials).proportion_ci(confidence, method="wilson")
+    interval = stats.binomtest(events, trials).proportion_ci(CONFIDENCE, method="wilson")
     return Estimate(events / trials, float(interval.low), float(interval.high))
 
 
-def clopper_pearson(events: float, trials: float, confidence: float = CONFIDENCE) -> Estimate:
+def clopper_pearson(events: float, trials: float) -> Estimate:
     r"""Proportion with the exact interval, by quantiles of the beta distribution.
 
     SciPy's own takes whole numbers alone, and `clustered_proportion` counts parts of runs.
@@ -96,16 +95,14 @@ def clopper_pearson(events: float, trials: float, confidence: float = CONFIDENCE
     """
     if trials == 0:
         return NOTHING
-    tail = 0.5 * (1.0 - confidence)
+    tail = 0.5 * (1.0 - CONFIDENCE)
     rest = trials - events
     low = 0.0 if events == 0 else float(special.betaincinv(events, rest + 1.0, tail))
     high = 1.0 if rest == 0 else float(special.betaincinv(events + 1.0, rest, 1.0 - tail))
     return Estimate(events / trials, low, high)
 
 
-def clustered_proportion(
-    events: ArrayLike, trials: int, confidence: float = CONFIDENCE
-) -> Estimate:
+def clustered_proportion(events: ArrayLike, trials: int) -> Estimate:
     r"""Proportion of epochs, which come in runs, with an exact interval for as many as they count.
 
     Alarms of one run hang together, so that its epochs are worth less than as many independent
@@ -129,7 +126,7 @@ def clustered_proportion(
         between = float(np.var(per_run / trials, ddof=1)) / runs
         independent = p * (1.0 - p) / (runs * trials)
         effective = runs * trials / max(between / independent, 1.0)
-    interval = clopper_pearson(p * effective, effective, confidence)
+    interval = clopper_pearson(p * effective, effective)
     return Estimate(p, interval.low, interval.high)
 
 
@@ -156,15 +153,13 @@ def _draw_cached(clusters: bytes, count: int) -> FloatArray:
     return resamples(of, np.random.default_rng(len(of)), count)
 
 
-def bootstrap_mean(
-    values: ArrayLike, samples: FloatArray, confidence: float = CONFIDENCE
-) -> Estimate:
+def bootstrap_mean(values: ArrayLike, samples: FloatArray) -> Estimate:
     """Mean over runs with its percentile interval; unknown without runs. `values` (R,) one of each
     run; a difference between two cells is paired this way; `samples` (S, R) of `resamples`."""
     x = np.asarray(values, dtype=np.float64)
     if not len(x):
         return NOTHING
-    return percentiles(float(x.mean()), samples @ x / samples.sum(axis=1), confidence)
+    return percentiles(float(x.mean()), samples @ x / samples.sum(axis=1))
 
 
 def largest_of_share(values: ArrayLike, share: float, samples: FloatArray) -> FloatArray:
@@ -191,28 +186,24 @@ def weighted_quantile(values: ArrayLike, share: float, samples: FloatArray) -> F
     return np.asarray(lower + np.maximum(wanted - whole, 0.0) * (upper - lower))
 
 
-def percentiles(value: float, drawn: FloatArray, confidence: float = CONFIDENCE) -> Estimate:
+def percentiles(value: float, drawn: FloatArray) -> Estimate:
     """Percentile interval of a bootstrap. `drawn` (S,) estimates of the samples; NaN of those that
     hold nothing to estimate from."""
     known = drawn[np.isfinite(drawn)]
     if math.isnan(value) or not len(known):
         return NOTHING
-    tail = 50.0 * (1.0 - confidence)
+    tail = 50.0 * (1.0 - CONFIDENCE)
     low, high = np.percentile(known, [tail, 100.0 - tail])
     return Estimate(value, float(low), float(high))
 
 
-def exceedance(
-    values: ArrayLike, levels: ArrayLike, confidence: float = CONFIDENCE
-) -> list[Estimate]:
+def exceedance(values: ArrayLike, levels: ArrayLike) -> list[Estimate]:
     """Probability that a value exceeds each level, with Wilson's interval. `values` (R,), such as
     undetected displacements: then it is the probability of hazardously misleading information by
     alert limit; `levels` (L,); returns (L,)."""
     x = np.asarray(values, dtype=np.float64)
-    return [
-        wilson(int(np.sum(x > level)), len(x), confidence)
-        for level in np.asarray(levels, dtype=np.float64)
-    ]
+    each = np.asarray(levels, dtype=np.float64)
+    return [wilson(int(np.sum(x > level)), len(x)) for level in each]
 
 
 BUDGET = 0.05

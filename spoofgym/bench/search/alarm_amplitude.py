@@ -27,11 +27,8 @@ from ...envs.spoofer_binding import get_tuning_range
 from ...spoofers import make_spoofer
 from ..runs.panel import Panel, PanelAttack
 from ..runs.players import PlayerSpec
-from ..runs.record import (
-    MEASURES,
-    measure_displacement,
-)
-from ..scores.at_budget import AMPLITUDE, AlarmCurve, AlarmTrace, score_at_budget
+from ..runs.record import MEASURES, Mask, measure_displacement
+from ..scores.at_budget import AMPLITUDE, AlarmCurve, score_at_budget
 from ..scores.scores import Stealth, select_clusters
 from ..scores.statistics import (
     RESAMPLES,
@@ -42,9 +39,9 @@ from ..scores.statistics import (
     weighted_quantile,
 )
 from .amplitude import Trial, Tuning, TuningResult
+from .backends import Rows
 
-RESOLUTION = 1.005
-"""Ratio of two values between which a run's alarm amplitude is known to lie."""
+RESOLUTION = 1.005  # ratio of two values between which a run's alarm amplitude is known to lie
 STEP, GROWTH = 1.1, 1.25
 """Ratio of the first two values that all runs play, and the power by which it grows."""
 ERRORS, LEAST = 4.0, 0.2
@@ -52,8 +49,6 @@ ERRORS, LEAST = 4.0, 0.2
 the budget that is far enough below it."""
 FACTOR, FACTOR_RUNS = 1.1, 128
 """On the thresholds, for the elasticity of a score, and how many runs it is taken from at most."""
-Mask = NDArray[np.bool_]
-Rows = NDArray[np.intp]
 Played = tuple[Mask, dict[str, FloatArray]]
 """Which runs alarm (R,), and their undetected displacement by measure (R,) [m]."""
 
@@ -222,23 +217,6 @@ def draw_threshold_factors(panel: Panel, number: int) -> FloatArray | None:
     return calibration.draw_factors(judge.point, RESAMPLES, rng)
 
 
-def trace_attack(
-    panel: Panel,
-    number: int,
-    entry: PlayerSpec,
-    settings: Tuning,
-    tick: Callable[[float], None] = lambda _: None,
-) -> AlarmTrace:
-    """An attack around the budget, with its elasticity, and the factors that are drawn."""
-    curve = trace_alarms(EngineRuns(panel, number, entry, tick), settings)
-    factors = draw_threshold_factors(panel, number)
-    if factors is not None and curve.runs:
-        start = score_at_budget(curve, settings.budget).amplitude.value
-        elasticity = measure_elasticity(panel, number, entry, settings, start)
-        curve = replace(curve, elasticity=elasticity)
-    return AlarmTrace(curve, factors)
-
-
 def tune_at_budget(
     panel: Panel,
     number: int,
@@ -247,9 +225,14 @@ def tune_at_budget(
     settings: Tuning,
     tick: Callable[[float], None] = lambda _: None,
 ) -> TuningResult:
-    """Find the value of a spoofer's setting at exactly the budget."""
-    trace = trace_attack(panel, number, entry, settings, tick)
-    curve, score = trace.curve, score_at_budget(trace.curve, settings.budget, trace.factors)
+    curve = trace_alarms(EngineRuns(panel, number, entry, tick), settings)
+    factors = draw_threshold_factors(panel, number)
+    if factors is not None and curve.runs:
+        start = score_at_budget(curve, settings.budget).amplitude.value
+        elasticity = measure_elasticity(panel, number, entry, settings, start)
+        curve = replace(curve, elasticity=elasticity)
+    curve = replace(curve, factors=factors)
+    score = score_at_budget(curve, settings.budget)
     trials = []
     for k, value in enumerate(curve.amplitudes.tolist()):
         mean = float(curve.displacement[MEASURES[0]][k].mean()) if curve.runs else 0.0
@@ -269,5 +252,5 @@ def tune_at_budget(
         warmup_alarms=int(panel.warmup_alarm[:, number].sum()),
         trials=tuple(trials),
         at_budget=score.as_json(),
-        trace=trace,
+        trace=curve,
     )

@@ -27,7 +27,7 @@ from ...spoofers import make_spoofer
 from ..runs.panel import Panel, PanelAttack, Search
 from ..runs.players import PlayerSpec
 from ..runs.record import compute_displacement
-from ..scores.at_budget import AlarmTrace
+from ..scores.at_budget import AlarmCurve
 from ..scores.scores import Stealth, score_stealth
 from ..scores.statistics import BUDGET, build_log_grid, fewest_runs, rounded_down
 
@@ -142,7 +142,7 @@ class TuningResult:
     trials: tuple[Trial, ...]
     found: dict[str, Any] | None = None
     at_budget: dict[str, Any] | None = None
-    trace: AlarmTrace | None = field(default=None, repr=False, compare=False)
+    trace: AlarmCurve | None = field(default=None, repr=False, compare=False)
 
     @property
     def chosen(self) -> Trial:
@@ -168,9 +168,8 @@ class TuningResult:
     def from_dict(
         cls, data: dict[str, Any], arrays: Mapping[str, Any] | None = None
     ) -> TuningResult:
-        """Inverse of `as_dict`, and of `arrays`."""
         trials = tuple(Trial(**trial) for trial in data["trials"])
-        trace = AlarmTrace.from_parts(arrays, data["value"]) if arrays else None
+        trace = AlarmCurve.from_parts(arrays, data["value"]) if arrays else None
         return cls(**{**data, "trials": trials, "trace": trace})
 
 
@@ -274,5 +273,4 @@ def search_work(settings: Tuning, scored: int = 0) -> float:
 
 
 def with_rates(entry: PlayerSpec, rates_mps: list[float]) -> PlayerSpec:
-    """An optimized open-loop attack with the rates of a curve."""
     return replace(entry, spec={**entry.spec, "rates_mps": rates_mps})

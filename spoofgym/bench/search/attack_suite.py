@@ -39,13 +39,12 @@ from ...simulation.setup import Setup
 from ...spoofers import SPOOFERS, SpooferContext, make_spoofer
 from ...spoofers.scaled import AMPLITUDE, LARGEST, SMALLEST
 from ..runs.panel import Panel, PanelAttack, Search
-from ..runs.play import Runs, make_bound_spoofer
+from ..runs.play import FloatArray, Runs, make_bound_spoofer
 from ..runs.players import ATTACK, TUNED, PlayerSpec, specify_spoofer
 from ..runs.record import MEASURES, Aim, Winner, measure_displacement
 from ..scores.scores import SHARES, worst_skies
 from ..scores.statistics import build_log_grid, rounded_down
 
-FloatArray = NDArray[np.float64]
 NAME, VERSION = "spoofgym-scripted", 2
 """Of the suite; another list of members, or another grid, is another version."""
 FAMILIES = {
@@ -69,8 +68,7 @@ STEEPEST = 0.25
 """Largest rate of a profile with amplitude 1, of what the acceleration allows in a whole window."""
 AMPLITUDE_RANGE = (0.5, 2.0)
 """Amplitudes of an open-loop attack that are tried first, in parts of that of its search."""
-LAST_PARTS = (0.15, 0.4)
-"""Parts of the attack window in which a dash takes place."""
+LAST_PARTS = (0.15, 0.4)  # parts of the attack window in which a dash takes place
 
 
 @settings_record(frozen=True, kw_only=True)
@@ -84,11 +82,10 @@ class Selection:
 
 @dataclass(frozen=True)
 class SuiteAttack:
-    """One attack of the suite; `budgeted` where a campaign plays it under the alarm budget, too."""
+    """One attack of the suite."""
 
     letter: str
     player: PlayerSpec
-    budgeted: bool
 
 
 def list_suite_attacks(context: SpooferContext) -> tuple[SuiteAttack, ...]:
@@ -101,7 +98,7 @@ def list_suite_attacks(context: SpooferContext) -> tuple[SuiteAttack, ...]:
         *(("h", _dash(part, context)) for part in LAST_PARTS),
     ]
     return tuple(
-        SuiteAttack(letter, specify_spoofer(spec), letter != "h")
+        SuiteAttack(letter, specify_spoofer(spec))
         for letter, spec in found
         if spec["name"] in SPOOFERS
     )
@@ -155,16 +152,12 @@ def _dash(part: float, context: SpooferContext) -> dict[str, Any]:
     return {"name": "dash", "rate_mps": TUNED, "last_s": float(f"{last_s:.4g}")}
 
 
-NEIGHBOURS = (-0.35, 0.35)
-"""Steps of the grid that are tried around the best of its values."""
+NEIGHBOURS = (-0.35, 0.35)  # steps of the grid that are tried around the best of its values
 JUST_PAST = 1.005
 """What an amplitude that just passes an alert limit displaces by, in parts of that."""
-SILENT = 0.5
-"""What runs without an alarm reach at least, in parts of what the farthest one does."""
-AT_ONCE = 8
-"""Worst attacks whose runs are held together."""
-ALIKE = 0.002
-"""Amplitudes that differ by less, in parts, are not both played."""
+SILENT = 0.5  # what runs without an alarm reach at least, in parts of what the farthest one does
+AT_ONCE = 8  # worst attacks whose runs are held together
+ALIKE = 0.002  # amplitudes that differ by less, in parts, are not both played
 ROUNDS, FINE = 3, (-1.0, -0.5, 0.5, 1.0)
 """Of a family: how often those gaps are halved, and steps of what is left that all runs play."""
 IDLE: Spec = {"name": "profile", "rates_mps": [0.0, 0.0]}
@@ -179,8 +172,7 @@ def list_aims(measures: Sequence[str], limits: Sequence[float], skies: bool) -> 
     return tuple(found + [Aim(first, share, skies=True) for share in SHARES if skies])
 
 
-Played = dict[tuple[int, float], dict[str, FloatArray]]
-"""Displacements by member and value."""
+Played = dict[tuple[int, float], dict[str, FloatArray]]  # displacements by member and value
 AttackAims = dict[tuple[int, float], list[Aim]]
 """Aims by member and value of the attack that is the worst one for them."""
 
@@ -193,8 +185,7 @@ class WorstAttacks:
     """Whether attacks are looked for that are the worst in the worst skies."""
     neighbours: ClassVar[tuple[float, ...]] = NEIGHBOURS
     """Steps of the grid around the best of its values."""
-    rounds: ClassVar[int] = 0
-    """How often the gaps beside the best values are halved before that."""
+    rounds: ClassVar[int] = 0  # how often the gaps beside the best values are halved before that
 
     def __init__(
         self, panel: Panel, number: int, members: Sequence[SuiteAttack], settings: Selection
@@ -238,7 +229,6 @@ class WorstAttacks:
         return {key: self.measure(self.panel, x) for key, x in zip(keys, played, strict=True)}
 
     def attack(self, member: int, value: float, runs: int) -> PanelAttack:
-        """A member with a value of its setting."""
         entry = self.attacks[member].player
         spec = entry.with_value(value)
         if entry.side == ATTACK:
@@ -274,7 +264,8 @@ class WorstAttacks:
         """Let found curves go on beyond their range, for as long as its ends are the best of it."""
         while True:
             best = {self._best(sifted, aim, runs) for aim in aims}
-            found = {(m, self._next(grids[m], at)) for m, at in best if self._is_optimum(m)}
+            curves = ((m, at) for m, at in best if self.attacks[m].letter == "c")
+            found = {(m, self._next(grids[m], at)) for m, at in curves}
             new = sorted((m, value) for m, value in found if value is not None)
             if not new:
                 return
@@ -307,9 +298,6 @@ class WorstAttacks:
                     own = {key: moved for key, moved in played.items() if key[0] == member}
                     found.append((self._best(own, aim, runs), aim))
         return found
-
-    def _is_optimum(self, member: int) -> bool:
-        return self.attacks[member].letter == "c"
 
     @staticmethod
     def _next(grid: list[float], at: float) -> float | None:

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from ...limits.response import Replay
 from ...simulation.setup import Setup
 from ...spoofers.base import direction, has_heading, list_axes
-from ..runs.play import Runs, WarmStart, induced_error
+from ..runs.play import FloatArray, Runs, WarmStart, induced_error
 from ..runs.record import mask_valid_runs
 
-FloatArray = NDArray[np.float64]
 Rows = NDArray[np.intp]
 EAST_DEG = 90.0  # heading of scripted spoofers by default
 

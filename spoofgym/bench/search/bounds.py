@@ -35,17 +35,6 @@ def purposes(p_fa: float, budget: float) -> dict[str, float]:
     }
 
 
-def summarize_lower_limit(frontier: Frontier, p_fa: float, budget: float) -> dict[str, Any]:
-    return {
-        "p_fa": p_fa,
-        "heading": HEADING,
-        "worlds": len(frontier.per_deflection),
-        "sensors_known": frontier.sensors_known,
-        "assumptions": list(frontier.assumptions),
-        "floor_m": compute_lower_limits(frontier, p_fa, budget),
-    }
-
-
 def compute_lower_limits(
     frontier: Frontier, p_fa: float, budget: float, heading: str = HEADING
 ) -> dict[str, dict[str, Any]]:
@@ -73,8 +62,17 @@ def compute_lower_limits(
 def tabulate_lower_limits(
     frontier: Frontier, rates: Sequence[float], budget: float
 ) -> dict[str, Any]:
-    each = [summarize_lower_limit(frontier, p_fa, budget) for p_fa in rates]
-    return {**each[0], "rates": [{key: x[key] for key in ("p_fa", "floor_m")} for x in each]}
+    """Lower limits of the first rate, and of all ``rates``."""
+    each = [(p_fa, compute_lower_limits(frontier, p_fa, budget)) for p_fa in rates]
+    return {
+        "p_fa": each[0][0],
+        "heading": HEADING,
+        "worlds": len(frontier.per_deflection),
+        "sensors_known": frontier.sensors_known,
+        "assumptions": list(frontier.assumptions),
+        "floor_m": each[0][1],
+        "rates": [{"p_fa": p_fa, "floor_m": found} for p_fa, found in each],
+    }
 
 
 def _finite(value: float) -> float | None:

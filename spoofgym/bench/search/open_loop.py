@@ -25,7 +25,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,14 +38,14 @@ from ...simulation.simulator import weighs
 from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.profile import MOST_KNOTS, sample_curve
 from ..runs.panel import Panel, play_searches
-from ..runs.play import Runs, WarmStart, induced_error, play
+from ..runs.play import FloatArray, Runs, WarmStart, induced_error, play
 from ..runs.players import PlayerSpec
 from ..runs.record import MEASURES
 from ..scores.at_budget import score_best
 from ..scores.statistics import aim
 from .alarm_amplitude import tune_at_budget
 from .amplitude import EXACT, Tuning, TuningResult, search_work, tune_amplitude, with_rates
-from .backends import Backend, EngineBackend, FloatArray, ReplayBackend, Rows, get_rate_limits
+from .backends import Backend, EngineBackend, ReplayBackend, Rows, get_rate_limits
 from .bounds import DisplacementBounds
 
 WorkCallback = Callable[[float], None]
@@ -101,7 +100,7 @@ class OpenLoopAttack(NamedTuple):
     - `rates_mps` (knots,) at the amplitude that the share of alarms allows on the runs;
     - `displacement_m` it gets there, by the score of the search (`HazardOptimizer`: another score);
     - `start`: shape that the search began at, and `start_m` what that gets;
-    - `free`: whether it gets as far as any attack, so that nothing was left to search for.
+    - `saturated`: whether it gets as far as any attack, so that nothing was left to search for.
     """
 
     rates_mps: FloatArray
@@ -266,10 +265,9 @@ class OpenLoopOptimizer:
         """Scores of (P, knots) rates, and these at the amplitudes of the scores. All are brought to
         the same mean rate first, so that they are judged near their amplitude."""
         mean = self._size(rates)
-        rates = (
-            rates * np.where(mean * moved > 0.0, moved / np.where(mean, mean, 1.0), 1.0)[:, None]
-        )
-        peak, reach = self._judge(np.concatenate([factor * rates for factor in PAIR]), rows)
+        factor = np.where(mean * moved > 0.0, moved / np.where(mean, mean, 1.0), 1.0)
+        rates = rates * factor[:, None]
+        peak, reach = self._judge(np.concatenate([part * rates for part in PAIR]), rows)
         low, high = np.log(np.maximum(peak, 1e-300)).reshape(2, len(rates), -1)
         width, middle = math.log(PAIR[1] / PAIR[0]), math.sqrt(PAIR[0] * PAIR[1])
         power = np.clip((high - low) / width, FLATTEST, STEEPEST)
@@ -352,8 +350,7 @@ keeps it; half of the runs alarming, by which the protection is given; most runs
 the alert limit without an alarm, where there is one."""
 LINEAR_ERROR = 0.02
 """How far the displacement on the engine may be from that of the replay, as a part of it."""
-RUNS_EACH = 4
-"""Runs that are searched on at most for each that amplitudes are fitted on."""
+RUNS_EACH = 4  # runs that are searched on at most for each that amplitudes are fitted on
 SHARED_STREAM = 0x5C  # of the seed of a search, for the circumstances that its runs share
 SPLIT = "search"
 """Runs that are searched on: an amplitude that is fitted on the same ones would be too large."""
@@ -436,13 +433,8 @@ class Optima:
             why = f"the displacement by replay is off by {100.0 * error:.1f} %"
         start = self._start(self.world.build_setup(detector, self.spoofers))
         found = self._search(EngineBackend(*start, heading_deg), tick)
-        return {
-            "by": ENGINE,
-            "why": why,
-            "linear_error": error,
-            "aims": found,
-            "shapes": shape,
-        }
+        played = {"by": ENGINE, "why": why, "linear_error": error}
+        return {**played, "aims": found, "shapes": shape}
 
     def _search(self, backend: Backend, tick: WorkCallback) -> dict[str, Any]:
         found: dict[str, Any] = {}
@@ -464,22 +456,16 @@ class Optima:
                 "start_m": best.start_m,
             }
         if self.alert_limit_m is not None and best is not None:
-            found[AIMS[2]] = self._search_hazard(backend, settings, best.rates_mps)
+            optimizer = HazardOptimizer(backend, self.alert_limit_m, settings)
+            best = optimizer.search({BEFORE: best.rates_mps})
+            found[AIMS[2]] = {
+                "limit_m": self.alert_limit_m,
+                "rates_mps": [float(f"{rate:.6g}") for rate in best.rates_mps],
+                "p_hmi": float(special.ndtr(best.displacement_m)),
+                "start": best.start,
+                "start_p_hmi": float(special.ndtr(best.start_m)),
+            }
         return found
-
-    def _search_hazard(
-        self, backend: Backend, settings: OpenLoopSearch, before: FloatArray
-    ) -> dict[str, Any]:
-        assert self.alert_limit_m is not None  # as its caller says
-        optimizer = HazardOptimizer(backend, self.alert_limit_m, settings)
-        best = optimizer.search({BEFORE: before})
-        return {
-            "limit_m": self.alert_limit_m,
-            "rates_mps": [float(f"{rate:.6g}") for rate in best.rates_mps],
-            "p_hmi": float(special.ndtr(best.displacement_m)),
-            "start": best.start,
-            "start_p_hmi": float(special.ndtr(best.start_m)),
-        }
 
     def _zero_alarm(self, detector: PlayerSpec) -> dict[str, list[float]]:
         """Shape of the attack that gets farthest without an alarm of its own doing, if known. It is
@@ -573,27 +559,42 @@ def fit(
     tick: Callable[[float], None] = lambda _: None,
 ) -> Iterator[TuningResult]:
     """Search for a spoofer's setting against detectors of a panel, in their order; of a blind
-    optimum for its curve before that."""
-    if settings.rule == EXACT:
-        yield from _fit_exactly(panel, detectors, entry, settings, optima, tick)
-        return
+    optimum for its curve before that. By the rule `EXACT`, where the best of several curves is
+    played, its displacement is scored on runs that it was not chosen on."""
     if not entry.needs_search:
-        searches = [
-            (k, tune_amplitude(panel, k, entry, d.label, settings)) for k, d in detectors.items()
-        ]
-        yield from play_searches(panel, searches, tick)
+        yield from _tune(panel, [(k, d, entry) for k, d in detectors.items()], settings, tick)
         return
+    share = 0.0 if settings.rule == EXACT else 0.25 * search_work(settings)
     for number, detector in detectors.items():
-        share = 0.25 * search_work(settings)
-        found = optima().find(detector, entry, lambda part: tick(share * part))  # noqa: B023
+        found = optima().find(detector, entry, lambda part: tick(share * part))
         curves = optima().curves_to_fit(found)
-        own = {name: with_rates(entry, rates) for name, rates in curves.items()}
-        searches = [
-            (number, tune_amplitude(panel, number, x, detector.label, settings))
-            for x in own.values()
-        ]
-        fits = dict(zip(own, play_searches(panel, searches, tick), strict=True))
-        yield _choose_curve(found, curves, fits)
+        own = [(number, detector, with_rates(entry, rates)) for rates in curves.values()]
+        fits = dict(zip(curves, _tune(panel, own, settings, tick), strict=True))
+        best = _choose_curve(found, curves, fits)
+        if settings.rule == EXACT:
+            traces = [each.trace for each in fits.values() if each.trace is not None]
+            score = score_best(traces, settings.budget)
+            at_budget = {**(best.at_budget or {}), MEASURES[0]: score.as_json()}
+            best = replace(best, at_budget=at_budget)
+        yield best
+
+
+def _tune(
+    panel: Panel,
+    pairs: Sequence[tuple[int, PlayerSpec, PlayerSpec]],
+    settings: Tuning,
+    tick: Callable[[float], None],
+) -> Iterator[TuningResult]:
+    """Fit spoofers to the budget, by the rule; `pairs`: number of a detector, and both players."""
+    if settings.rule == EXACT:
+        for k, detector, entry in pairs:
+            yield tune_at_budget(panel, k, entry, detector.label, settings, tick)
+        return
+    searches = [
+        (k, tune_amplitude(panel, k, entry, detector.label, settings))
+        for k, detector, entry in pairs
+    ]
+    yield from play_searches(panel, searches, tick)
 
 
 def _choose_curve(
@@ -605,31 +606,3 @@ def _choose_curve(
     found["played"] = {"curve": best, "rates_mps": curves[best]}
     found["unbeaten_start"] = name_unbeaten_start(found)
     return replace(fits[best], found=found)
-
-
-def _fit_exactly(
-    panel: Panel,
-    detectors: Mapping[int, PlayerSpec],
-    entry: PlayerSpec,
-    settings: Tuning,
-    optima: Callable[[], Optima],
-    tick: Callable[[float], None],
-) -> Iterator[TuningResult]:
-    """As `fit`, to exactly the budget. Where the best of several curves is played, its displacement
-    is scored on runs that it was not chosen on."""
-    for number, detector in detectors.items():
-        tune = partial(tune_at_budget, panel, number, settings=settings, tick=tick)
-        if not entry.needs_search:
-            yield tune(entry=entry, detector=detector.label)
-            continue
-        found = optima().find(detector, entry, lambda _: None)
-        curves = optima().curves_to_fit(found)
-        fits = {
-            name: tune(entry=with_rates(entry, rates), detector=detector.label)
-            for name, rates in curves.items()
-        }
-        best = _choose_curve(found, curves, fits)
-        traces = [each.trace for each in fits.values() if each.trace is not None]
-        score = score_best(traces, settings.budget)
-        at_budget = {**(best.at_budget or {}), MEASURES[0]: score.as_json()}
-        yield replace(best, at_budget=at_budget)

@@ -22,12 +22,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...attacks import Offsets
-from ...limits.linear import hat_functions, unit_commands
-from ...limits.response import Replay
-from ...simulation.setup import Setup
-from .backends import FloatArray, ReplayBackend, Rows
-from .open_loop import OpenLoopAttack, OpenLoopOptimizer
+from spoofgym.attacks import Offsets
+from spoofgym.bench.runs.play import FloatArray
+from spoofgym.bench.search.backends import ReplayBackend, Rows
+from spoofgym.bench.search.open_loop import OpenLoopAttack, OpenLoopOptimizer
+from spoofgym.limits.linear import hat_functions, unit_commands
+from spoofgym.limits.response import Replay
+from spoofgym.simulation.setup import Setup
 
 SPACES: dict[str, tuple[str, ...]] = {
     "direction": ("east",),

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from spoofgym.bench.runs.play import WarmStart, induced_error, play
-from spoofgym.bench.runs.world import World
-from spoofgym.bench.scores.at_budget import AlarmCurve, ratio_at_budget
-from spoofgym.bench.search.offsets import (
+from baselines.offset_search import (
     OffsetsBackend,
     OffsetsReplay,
     list_offset_axes,
     unseen_line,
     unseen_ramp,
 )
+from spoofgym.bench.runs.play import WarmStart, induced_error, play
+from spoofgym.bench.runs.world import World
+from spoofgym.bench.scores.at_budget import AlarmCurve, ratio_at_budget
 from spoofgym.detectors import make_detector
 from spoofgym.simulation.setup import seed_sequences
 
