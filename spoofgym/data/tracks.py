@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.declared import check_word
 from ..core.registry import require
 
 GZIP_MAGIC = b"\x1f\x8b"
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     import pandas
 
 FOOT = 0.3048  # international foot [m]
+UNITS = {"ft": FOOT, "m": 1.0}  # of the altitude, as a user names them [m]
 KNOT = 1852.0 / 3600.0  # knot [m/s]
 MINUTE = 60.0  # minute [s]
 
@@ -112,8 +114,14 @@ class RawTrack:
     track_deg: NDArray[np.float64]
 
 
-def read_track(path: str | Path) -> RawTrack:
-    """Read a recorded track from a CSV, Parquet or JSON file, compressed or not. A
+def read_track(
+    path: str | Path,
+    *,
+    altitude_unit: Literal["ft", "m"] | None = None,
+    aircraft: str | None = None,
+) -> RawTrack:
+    """Read a recorded track from a CSV, Parquet or JSON file, compressed or not. `altitude_unit`:
+    unit of the altitude column; by default feet, unless its name ends in _m. A
     `spoofgym.data.tracks.FileError` says what is wrong with the file."""
     path = Path(path)
     if find_spec("pandas") is None:
@@ -132,7 +140,7 @@ def read_track(path: str | Path) -> RawTrack:
         raise FileError(f"{path} can't be read as {kind.upper()}: {error}") from error
     stem = path.name.split(".", 1)[0]
     try:
-        return track_from_frame(frame, stem)
+        return track_from_frame(frame, stem, altitude_unit=altitude_unit, aircraft=aircraft)
     except ValueError as error:
         raise FileError(f"{path}: {error}") from error
 
@@ -155,12 +163,20 @@ def _frame(content: bytes, kind: str) -> pandas.DataFrame:
     return pandas.read_parquet(BytesIO(content))
 
 
-def track_from_frame(frame: pandas.DataFrame, name: str) -> RawTrack:
-    """Take a recorded track from a table with one row per report. Altitudes are in feet, unless the
-    name of their column ends in _m."""
+def track_from_frame(
+    frame: pandas.DataFrame,
+    name: str,
+    *,
+    altitude_unit: Literal["ft", "m"] | None = None,
+    aircraft: str | None = None,
+) -> RawTrack:
+    """Take a recorded track from a table with one row per report. `altitude_unit`: unit of the
+    altitude column; by default feet, unless its name ends in _m."""
+    if altitude_unit is not None:
+        check_word("altitude_unit", altitude_unit, UNITS)
     frame = frame.rename(columns=lambda column: str(column).strip().lower())
     require(not frame.empty, f"a track must have rows, got none in {name!r}")
-    _check_aircraft(frame)
+    frame = _one_aircraft(frame, aircraft)
     required = {"time": TIME} | {
         quantity: tuple(QUANTITIES[quantity]) for quantity in ("latitude", "longitude", "altitude")
     }
@@ -171,6 +187,9 @@ def track_from_frame(frame: pandas.DataFrame, name: str) -> RawTrack:
     _check_range("time", time, *TIMES, "s")
     _check_range("position time", position_time, *TIMES, "s")
     columns = {quantity: _numbers(frame, names) for quantity, names in QUANTITIES.items()}
+    if altitude_unit is not None:
+        factor = UNITS[altitude_unit]
+        columns["altitude"] = _numbers(frame, dict.fromkeys(QUANTITIES["altitude"], factor))
     for quantity, valid in RANGES.items():
         _check_range(quantity, columns[quantity], *valid)
     return RawTrack(
@@ -186,11 +205,18 @@ def track_from_frame(frame: pandas.DataFrame, name: str) -> RawTrack:
     )
 
 
-def _check_aircraft(frame: pandas.DataFrame) -> None:
+def _one_aircraft(frame: pandas.DataFrame, aircraft: str | None) -> pandas.DataFrame:
     column = next((name for name in AIRCRAFT if name in frame), None)
-    found = [] if column is None else frame[column].dropna().astype(str).unique().tolist()
-    if len(found) > 1:
-        raise ValueError(f"a track must be of one aircraft, got {', '.join(found[:10])}")
+    if column is None:
+        return frame
+    found = frame[column].dropna().astype(str).unique().tolist()
+    if aircraft is None and len(found) > 1:
+        raise ValueError(f"`aircraft` must be one of {', '.join(found[:10])}, got none")
+    if aircraft is None:
+        return frame
+    if aircraft not in found:
+        raise ValueError(f"`aircraft` must be one of {', '.join(found[:10])}, got {aircraft!r}")
+    return frame[frame[column].astype(str) == aircraft]
 
 
 def _check_columns(frame: pandas.DataFrame, required: Mapping[str, tuple[str, ...]]) -> None:

@@ -119,17 +119,22 @@ def test_times_units_and_names_are_understood(table):
     metres = table.rename(columns={"altitude": "altitude_m"})
     np.testing.assert_allclose(track_from_frame(metres, "t").altitude, table["altitude"])
     np.testing.assert_allclose(plain.altitude, table["altitude"] * FOOT)
-    climbing = track_from_frame(table.assign(vertical_rate=600.0), "t")
-    np.testing.assert_allclose(climbing.vertical_rate, 600.0 * FOOT / 60.0)
+    forced = track_from_frame(table.assign(vertical_rate=600.0), "t", altitude_unit="m")
+    np.testing.assert_allclose(forced.altitude, table["altitude"])
+    np.testing.assert_allclose(forced.vertical_rate, 600.0 * FOOT / 60.0)
     names = {"timestamp": "Time", "latitude": " LAT", "longitude": "lon", "groundspeed": "gs"}
     track, _ = cleaned(table.rename(columns=names))
     np.testing.assert_allclose(track.groundspeed, 100.0, rtol=1e-9)
 
 
-def test_a_track_of_several_aircraft_is_refused_with_their_names(table):
-    both = pandas.concat([table, table.assign(icao24="abcdef")]).sort_values("timestamp")
-    with pytest.raises(ValueError, match="of one aircraft, got 4b1801, abcdef"):
-        track_from_frame(both, "t")
+def test_one_aircraft_is_taken_out_of_several(table):
+    other = table.assign(icao24="abcdef", latitude=table["latitude"] + 1.0)
+    both = pandas.concat([table, other]).sort_values("timestamp", kind="stable")
+    for aircraft, said in ((None, "of 4b1801, abcdef, got none"), ("123456", "got '123456'")):
+        with pytest.raises(ValueError, match=f"`aircraft` must be one .*{said}"):
+            track_from_frame(both, "t", aircraft=aircraft)
+    track = track_from_frame(both, "t", aircraft="abcdef")
+    np.testing.assert_allclose(np.degrees(track.latitude), other["latitude"])
 
 
 def spoil(table, column, row, value):
