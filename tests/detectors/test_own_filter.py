@@ -82,7 +82,8 @@ def test_its_kernels_and_those_of_its_bank_are_the_equations(world):
     simulator, close = started(setup_of(world, detector), 2), {"rtol": 1e-8, "atol": 1e-9}
     bank, own = simulator.detector, simulator.detector._own
     model, d, (firsts, periods) = own.model, own.inertial, bank._starts
-    plain = AugmentedFilter(Memory(2), model.signals, simulator.setup.interval_s, own.white.shape[1] // 2)
+    interval_s, channels = simulator.setup.interval_s, own.white.shape[1] // 2
+    plain = AugmentedFilter(Memory(2), model.signals, interval_s, channels)
     plain.start_episodes(np.arange(2), model.covariance, model.grade)
     psd, variance = (np.tile(each, (2, 1)) for each in (model.noise_psd, model.noise_variance))
     x, s, V = np.zeros((2, 17)), np.zeros((len(firsts), 2, d)), np.zeros((len(firsts), 2, d, d))
