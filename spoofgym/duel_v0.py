@@ -73,8 +73,9 @@ def env(*, render_mode: None = None, **settings: Any) -> Any:
         There is nothing to render.
     **settings
         The world of `spoofgym.envs.SpoofEnv`: scenario, receiver, attack, timeline, domain,
-        target_heading_deg, decision_interval_s, between, that of task T3 unless a scenario is
-        given; ``knowledge`` of the spoofer; and
+        target_heading_deg, decision_interval_s, between, on top of those of
+        ``spoofgym/TightlyCoupled-v0``, or of the class where a scenario is given; ``knowledge`` of
+        the spoofer; and
 
         - ``statistic``, "receiver" or "channel": whether the detector has one statistic, or one for
           every slot; ``weighs``: whether it weighs satellites in the filter;

@@ -55,7 +55,7 @@ def policy(request, tmp_path_factory):
     torch.manual_seed(0)
     net = torch.nn.Linear(env.observation_space.shape[0], env.action_space.shape[0])
     path = tmp_path_factory.mktemp("policies") / "mine.onnx"
-    assert onnx(net, env, path).env_id == "spoofgym/TightlyCoupled-v0"
+    assert onnx(net, env, path).env_id == "spoofgym/Zhong2025-v0"
     return env, str(path)
 
 
@@ -64,7 +64,7 @@ def test_a_file_comes_back_to_its_environment(policy):
     observation = env.reset(seed=0)[0]
     action = attach(path, env).act(observation[None])[0]
     assert np.isfinite(env.step(action)[1])
-    other = gym.make("spoofgym/TightlyCoupled-v0", attack="per-channel")
+    other = gym.make("spoofgym/Zhong2025-v0", attack="per-channel")
     with pytest.raises(ValueError, match="trained in another world, add --set "):
         attach(path, other, transfer=True)
 
@@ -105,7 +105,7 @@ def test_an_own_detector_travels_by_its_module_and_class(tmp_path):
     """In an environment, on a card, in a score, in the duel."""
     own = {"name": "tests.envs.support:AlarmAt", "epoch": 10_000, "thresholds": "nominal"}
     world, path = {"timeline": SHORT}, tmp_path / "mine.onnx"
-    env = gym.make("spoofgym/TightlyCoupled-v0", detector=own, knowledge="blind", **world)
+    env = gym.make("spoofgym/Zhong2025-v0", detector=own, knowledge="blind", **world)
     net = torch.nn.Linear(env.observation_space.shape[0], 1)
     card = onnx(net, env, path)
     assert card.env_kwargs["detector"] == own

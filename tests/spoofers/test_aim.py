@@ -72,7 +72,7 @@ def test_where_a_target_cannot_be_followed():
     "action", ["full-command", {"name": "rate-setpoint", "full_scale_mps": 2.0}]
 )
 def test_a_target_that_is_drawn_is_reached(action):
-    envs = gym.make_vec("spoofgym/RandomStart-v0", num_envs=6, **{**WORLD, "action": action})
+    envs = gym.make_vec("spoofgym/Zhong2025-v0", num_envs=6, **{**WORLD, "action": action})
     spoofer = attach(FOLLOWING, envs)
     observation, _ = envs.reset(seed=4)
     for _ in range(60):
@@ -83,7 +83,7 @@ def test_a_target_that_is_drawn_is_reached(action):
 
 
 def test_a_fixed_heading_is_warned_of_once():
-    envs = gym.make_vec("spoofgym/RandomStart-v0", num_envs=2, **WORLD)
+    envs = gym.make_vec("spoofgym/Zhong2025-v0", num_envs=2, **WORLD)
     ramp = {"name": "ramp", "rate_mps": 2.0}
     with pytest.warns(UserWarning, match=r"Ramp \(heading_deg=90\); with heading_deg='target'"):
         attach(ramp, envs)

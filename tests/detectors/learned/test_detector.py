@@ -27,7 +27,7 @@ from spoofgym.testing import check_detector
 from .files import TERMS, edit_card, write_guard
 
 FAST = {"warmup_s": 6.0, "live_s": 3.0, "attack_s": 8.0, "time_to_alert_s": 1.0}
-ID = "spoofgym/TightlyCoupled-v0"
+ID = "spoofgym/Zhong2025-v0"
 RATE = {"false_alarms_per_hour": 60.0}
 
 
@@ -102,7 +102,7 @@ def test_environments_take_a_file_and_their_spec_is_json(guard):
     for env in (gym.make(spec), wrapped, batch):
         assert statistics(env) == seen
         assert inner(env).detector.sha256 == LearnedDetector(guard).sha256
-    learner = SpoofVecEnv(2, detector=guard, timeline=FAST, seed=0)
+    learner = SpoofVecEnv(2, env_id=ID, detector=guard, timeline=FAST, seed=0)
     learner.reset()
     assert inner(learner).scale == 0.9
     # a passive one sees the same beside the detector in the loop
