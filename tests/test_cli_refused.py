@@ -40,7 +40,7 @@ def test_absurd_numbers_of_runs_end_at_once(command, option, largest):
         (["report", "nowhere"], "nowhere holds no results: there is no config.json"),
         (
             ["bench", "--env", "spoofgym/Snapshot-v0", "--attack", "paper-ideal"],
-            "--attack is an option of spoofgym/Zhong2025-v0, not of spoofgym/Snapshot-v0, ",
+            "--attack is an option of spoofgym/TightlyCoupled-v0, not of spoofgym/Snapshot-v0, ",
         ),
         (["bench", "--set", "satellites"], "a setting is written `name=value`, got 'satellites'"),
         (["bench", "--set", "between=a", "--set", "between=b"], "--set between is given twice"),

@@ -173,21 +173,23 @@ def _victim(options: WorldOptions) -> tuple[dict[str, Any], Reports]:
     """Environment, settings of the victim and notes, and the reports of real input."""
     from ..core.registry import parse_setting
 
-    decided, reports = _own_options(options)
     own: dict[str, Any] = {}
     for name, value in map(parse_setting, options.settings or ()):
         if name in own:
             raise ValueError(f"--set {name} is given twice: {own[name]!r} and {value!r}")
         own[name] = value
+    decided, reports = _own_options(options, "scenario" in own)
     return {**decided, "settings": own}, reports
 
 
-def _own_options(options: WorldOptions) -> tuple[dict[str, Any], Reports]:
-    """Environment and settings that have options of their own, and the reports of real input."""
+def _own_options(options: WorldOptions, other: bool) -> tuple[dict[str, Any], Reports]:
+    """Environment and settings that have options of their own, and the reports of real input;
+    `other`: whether a scenario is given otherwise."""
     from ..envs.factory import find_environment
     from ..simulation import TightlyCoupledSetup
 
-    env = options.env or (PLAIN if options.find_passed(("scenario", "track")) else ENV)
+    other = other or bool(options.find_passed(("scenario", "track")))
+    env = options.env or (PLAIN if other else ENV)
     kind, usual = find_environment(env)
     times = {name: x for name in TIMES if (x := getattr(options, name)) is not None}
     decided: dict[str, Any] = {"env": env}

@@ -54,7 +54,7 @@ def side_of(env_id=None, task=None, side="spoofer", pool=None, weights=None, **s
 @pytest.mark.parametrize(
     ("asked", "expected"),
     [
-        ({}, {}),
+        ({}, TASK.env_kwargs),
         ({"pool": ["ewma"]}, GAME),
         ({"pool": ["ewma"], "scenario": None}, GAME),
         ({"side": "detector"}, GAME),
