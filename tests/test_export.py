@@ -92,7 +92,7 @@ def test_a_card_says_where_it_was_made_and_the_file_fits_there(tmp_path):
     model = PPO("MlpPolicy", envs, n_steps=8, batch_size=32, seed=3, device="cpu")
     model.learn(32)
     card = onnx(model, path=path, training={"note": "short"})
-    assert (card.env_id, card.env_kwargs["scenario"]) == ("spoofgym/Zhong2025-v0", "trolley")
+    assert (card.env_id, card.env_kwargs["scenario"]) == ("spoofgym/BenchT3-v1", "trolley")
     told = (card.knowledge.run_time, card.knowledge.design_time)
     assert told == ("blind", "snapshot-chi2 and its world, by training")
     expected = {"algorithm": "PPO", "steps": 32, "seed": 3, "amplitude": 1.0, "note": "short"}

@@ -9,6 +9,7 @@ from functools import partial
 import gymnasium as gym
 import numpy as np
 import pytest
+import typer
 
 # ruff: noqa: E402 - torch may be missing
 torch = pytest.importorskip("torch")
@@ -51,7 +52,7 @@ def world(settings):
 @pytest.fixture(scope="module", params=IDS)
 def policy(request, tmp_path_factory):
     """An id, an untrained policy of it as a file with its card, and what is to be added."""
-    env = gym.make(f"spoofgym/{request.param}")
+    env = gym.make(f"spoofgym/{request.param}", detector="never")
     torch.manual_seed(0)
     net = torch.nn.Linear(env.observation_space.shape[0], env.action_space.shape[0])
     path = tmp_path_factory.mktemp("policies") / "mine.onnx"
@@ -86,8 +87,15 @@ def test_a_score_is_that_of_the_world_of_the_model_or_says_what_to_add(policy):
     np.testing.assert_array_equal(again.displacement_m, score.displacement_m)
 
 
-def test_the_default_benchmark_plays_or_says_what_to_add(policy, tmp_path, monkeypatch):
+@pytest.mark.parametrize("played", [False, pytest.param(True, marks=pytest.mark.nightly)])
+def test_the_default_benchmark_plays_or_says_what_to_add(policy, played, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    if not played:  # but for that it is ready to
+
+        def stop(*given, **named):
+            raise typer.Exit
+
+        monkeypatch.setattr("spoofgym.cli.options.finish_experiment", stop)
     command, words = ["bench", *BENCH, "--spoofer", policy[1]], []
     if policy[2] is not None:
         words, settings = told(refused(*command))

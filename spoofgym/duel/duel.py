@@ -31,6 +31,7 @@ from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
 
 RESET, WITHIN = "reset", "within"
 """Where an attack begins: at the reset, after the whole warm-up, or at a drawn moment within."""
+PACE = ("decision_interval_s", "between")
 ELSEWHERE = "ewma"
 """Detector that a spoofer meets by default in a scenario that is given."""
 
@@ -48,10 +49,14 @@ def default_opponent(settings: Mapping[str, Any]) -> Any:
     return {key: x for key, x in reference.items() if key != "false_alarms_per_hour"}
 
 
-def with_world(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with the world of the default task below them, unless they have a scenario."""
+def with_world(settings: Mapping[str, Any], *, paced: bool = True) -> dict[str, Any]:
+    """Settings with the world of the default task below them, unless they have a scenario. `paced`:
+    whether a spoofer decides as there; those of a pool have a pace of their own."""
     own = own_settings(settings)
-    return own if "scenario" in own else {**get_task(DEFAULT_TASK).world_kwargs, **own}
+    if "scenario" in own:
+        return own
+    world = get_task(DEFAULT_TASK).world_kwargs
+    return {**{name: x for name, x in world.items() if paced or name not in PACE}, **own}
 
 
 class DuelStep(NamedTuple):

@@ -94,7 +94,7 @@ class LearnersSide(NamedTuple):
             merged = {name: x for name, x in merged.items() if name not in SPOOFERS_OWN}
         if env_id is not None and view not in VIEWS:
             merged.setdefault("scenario", SCENARIO)
-        all_ = with_world({**merged, **own_settings(settings)})
+        all_ = with_world({**merged, **own_settings(settings)}, paced=side == SPOOFER)
         return cls(name, side, setup, pool, weights, all_)
 
     def core(

@@ -125,7 +125,7 @@ class DetectorCore:
         threads: int | None = None,
         **settings: Any,
     ) -> None:
-        given: dict[str, Any] = {"action": "full-command", **settings}
+        given = {"action": "full-command", **with_world(settings, paced=False)}
         # for spoofers of the pool that know what the victim reports
         duel = make_duel(receivers, threads=threads, monitors=[PastPositions()], **given)
         self.duel = duel

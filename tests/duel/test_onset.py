@@ -5,7 +5,7 @@ import pytest
 
 from spoofgym import duel_v0
 
-from .support import ALARM, BRIEF, FORMS, QUIET, SHORT, aec
+from .support import ALARM, BRIEF, FORMS, QUIET, aec
 
 AGES_S = (12.0, 40.0)
 LATE = {

@@ -6,7 +6,7 @@ import gymnasium as gym
 import pytest
 
 from spoofgym import duel_v0
-from spoofgym.duel.duel import make_duel, with_world
+from spoofgym.duel.duel import PACE, make_duel, with_world
 from spoofgym.duel.learner import LearnersSide
 from spoofgym.duel.opponents import label_opponent
 from spoofgym.envs import SpoofEnv
@@ -16,6 +16,7 @@ from .support import ONE_SKY, SHORT
 
 TASK = get_task(DEFAULT_TASK)
 GAME, PAPERS = TASK.world_kwargs, "zhong2025"
+UNPACED = {key: x for key, x in GAME.items() if key not in PACE}
 REFERENCE = {key: x for key, x in TASK.detector.items() if key != "false_alarms_per_hour"}
 SMALL = {"timeline": {**SHORT, "attack_s": 20.0}, "domain": ONE_SKY}  # whole decisions
 NAMED = "spoofgym/Zhong2025-v0"
@@ -57,8 +58,8 @@ def side_of(env_id=None, task=None, side="spoofer", pool=None, weights=None, **s
         ({}, TASK.env_kwargs),
         ({"pool": ["ewma"]}, GAME),
         ({"pool": ["ewma"], "scenario": None}, GAME),
-        ({"side": "detector"}, GAME),
-        ({"env_id": "spoofgym/DetectorView-v0"}, GAME),
+        ({"side": "detector"}, UNPACED),
+        ({"env_id": "spoofgym/DetectorView-v0"}, UNPACED),
         ({"env_id": NAMED, "pool": ["ewma"]}, {"scenario": PAPERS}),
         ({"env_id": NAMED, "pool": ["ewma"], "scenario": None}, {"scenario": PAPERS}),
         ({"pool": ["ewma"], "scenario": "trolley"}, {"scenario": "trolley"}),
