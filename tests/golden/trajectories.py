@@ -87,12 +87,13 @@ def play_aec(steps: int = STEPS) -> Record:
     env = duel_v0.env()
     env.reset(seed=SEED)
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in env.possible_agents}
-    for k in range(steps):
-        for name, row in rows.items():
-            observation, reward, terminated, _, _ = env.last()
-            row.append({"observation": observation, "reward": reward, "terminated": terminated})
-            shape = env.action_space(name).shape
-            env.step(None if terminated else action_at(k, shape))
+    for k in range(2 * steps):
+        name = env.agent_selection  # a spoofer decides more seldom
+        observation, reward, terminated, _, _ = env.last()
+        row = {"observation": observation, "reward": reward, "terminated": terminated}
+        rows[name].append(row)
+        shape = env.action_space(name).shape
+        env.step(None if terminated else action_at(k // 2, shape))
         if not env.agents:
             env.reset()
     parts = {name: stacked(row) for name, row in rows.items()}
