@@ -75,7 +75,8 @@ IMPORTS = {
 TIMES = "--scenario zhong2025 --warmup-s 20 --live-s 10 --attack-s 20 --time-to-alert-s 5"
 BENCH = (
     f"spoofgym bench --json --training-seeds 16 --budget 0.25 --selection-seeds 0 {TIMES} "
-    "--set domain={} --nominal --detector ewma --spoofer none --spoofer ramp:rate_mps=tuned --out results"
+    "--set domain={} --nominal --detector ewma --spoofer none --spoofer ramp:rate_mps=tuned "
+    "--out results"
 )
 COMMANDS = {
     ("list", ""): "spoofgym list --json",
