@@ -106,7 +106,7 @@ def env(*, render_mode: None = None, **settings: Any) -> Any:
     Examples
     --------
     >>> from spoofgym import duel_v0
-    >>> duel = duel_v0.env(timeline={"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0})
+    >>> duel = duel_v0.env(scenario="zhong2025", timeline={"attack_s": 20.0})
     >>> duel.reset(seed=1)
     >>> duel.agent_selection, duel.metadata["decision_delay"]
     ('spoofer_0', 0)
@@ -154,7 +154,7 @@ def parallel_env(**settings: Any) -> Any:
     Examples
     --------
     >>> from spoofgym import duel_v0
-    >>> duel = duel_v0.parallel_env(timeline={"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0})
+    >>> duel = duel_v0.parallel_env(scenario="zhong2025", timeline={"attack_s": 20.0})
     >>> observations, infos = duel.reset(seed=1)
     >>> infos["detector_0"]["decision_delay"], "attacked" in infos["detector_0"]
     (1, False)

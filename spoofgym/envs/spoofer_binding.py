@@ -272,7 +272,7 @@ def suggest_settings(card: SpooferCard, setup: Setup) -> str:
     own, here = _settings(made_for), _settings(setup)
     names = [name for name in SHAPING if own.get(name) != here.get(name)]
     if "scenario" in names:  # with which all else has the victim's defaults, wherever it is given
-        here = {**_settings(type(setup)(detector="never")), "scenario": None}
+        here = {**_settings(make_setup(type(setup), {"detector": "never"})), "scenario": None}
         names = [name for name in SHAPING if own.get(name) != here.get(name)]
     if {*names} & {*OF_OFFSETS}:  # which make the attack
         names = [name for name in names if name != "attack" or name in settings]

@@ -26,6 +26,8 @@ RECEIVERS, STEPS, SEED = 2, 40, 20261121
 DEFAULT = "spoofgym/TightlyCoupled-v0"
 SAME_AS_DEFAULT = "spoofgym/BenchS1-v2"
 AGED = (SAME_AS_DEFAULT, "spoofgym/BenchS2-v2", "spoofgym/BenchS3-v2", "spoofgym/Offsets-v0")
+FEW = {"spoofgym/Offsets-v0": 20, "spoofgym/SpooferView-v0": 20}
+"""Steps of ids whose every step is ten seconds and has much to observe: past the first episode."""
 Record = dict[str, np.ndarray]
 
 
@@ -104,7 +106,7 @@ def cases() -> dict[str, Callable[[], Record]]:
     """Everything that is stored, by the names of the files."""
     ids = sorted(name for name in gym.registry if name.startswith("spoofgym/") and name != DEFAULT)
     table: dict[str, Callable[[], Record]] = {
-        name.removeprefix("spoofgym/"): (lambda name=name: play(name)) for name in ids
+        name.removeprefix("spoofgym/"): (lambda name=name: play(name, steps=FEW.get(name, STEPS))) for name in ids
     }
     return {**table, "duel_v0-parallel": play_parallel, "duel_v0-aec": play_aec}
 

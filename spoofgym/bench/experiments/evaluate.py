@@ -42,7 +42,8 @@ class Evaluator:
     Examples
     --------
     >>> from spoofgym.bench.experiments.evaluate import Evaluator
-    >>> world = {"timeline": {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}}
+    >>> times = {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}
+    >>> world = {"scenario": "zhong2025", "timeline": times}
     >>> detector = {"name": "snapshot-chi2", "thresholds": "nominal"}
     >>> judge = Evaluator(detector=detector, runs=4, fit_runs=80, **world)
     >>> ramp = judge.score({"name": "ramp", "rate_mps": 0.1})
@@ -250,7 +251,8 @@ def evaluate(
     --------
     >>> import numpy as np
     >>> import spoofgym
-    >>> world = {"timeline": {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}}
+    >>> times = {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}
+    >>> world = {"scenario": "zhong2025", "timeline": times}
     >>> detector = {"name": "snapshot-chi2", "thresholds": "nominal"}
     >>> score = spoofgym.evaluate(
     ...     lambda seen: np.full((len(seen), 1), 0.1), detector=detector, runs=4, amplitude=None,
