@@ -138,7 +138,10 @@ def test_the_spec_of_a_wrapped_environment_makes_it_again():
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     assert type(again.unwrapped.core.setup.detector).__name__ == "SnapshotChi2"
     assert_same(transitions(env)[0], transitions(again)[0])
-    for other in (gym.make("spoofgym/SpooferView-v0", timeline=SHORT), gym.make("CartPole-v1")):
+    for other in (
+        gym.make("spoofgym/SpooferView-v0", scenario="zhong2025", timeline=SHORT),
+        gym.make("CartPole-v1"),
+    ):
         with pytest.raises(TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or a Sp"):
             wrappers.WatchWrapper(other, ["cusum"])
 

@@ -106,7 +106,8 @@ def cases() -> dict[str, Callable[[], Record]]:
     """Everything that is stored, by the names of the files."""
     ids = sorted(name for name in gym.registry if name.startswith("spoofgym/") and name != DEFAULT)
     table: dict[str, Callable[[], Record]] = {
-        name.removeprefix("spoofgym/"): (lambda name=name: play(name, steps=FEW.get(name, STEPS))) for name in ids
+        name.removeprefix("spoofgym/"): (lambda name=name: play(name, steps=FEW.get(name, STEPS)))
+        for name in ids
     }
     return {**table, "duel_v0-parallel": play_parallel, "duel_v0-aec": play_aec}
 

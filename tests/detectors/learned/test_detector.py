@@ -156,7 +156,7 @@ def test_older_cards_have_the_terms_and_the_warm_up_of_the_duel(guard, tmp_path)
     old = write_guard(tmp_path / "old", "old", threshold=0.9)
     terms = [{"name": name} for name in TERMS]
     edit_card(old, quiet_epochs=..., terms=terms, channels=..., interval_s=...)
-    view = duel_v0.SpooferView([guard, str(old)], timeline=FAST)
+    view = duel_v0.SpooferView([guard, str(old)], scenario="trolley", timeline=FAST)
     first, second = (each.detector for each in view.core.setup.detector.judges)
     assert (first.judge_by.quiet, second.judge_by.quiet) == (0, view.core.setup.live)
     assert second.spec == {"name": str(old), "quiet_epochs": 6}
