@@ -172,7 +172,7 @@ def test_pasts_are_flown_when_they_are_picked_and_not_again(monkeypatch):
         return warm_up(simulator, generators, given)
 
     monkeypatch.setattr(TightlyCoupledSimulator, "warm_up", counted)
-    aged = {"worlds": 2, "age_s": (10.0, 60.0)}
+    aged = {"age_s": (10.0, 60.0)}
     engine = Engine(1, setup_of("tightly-coupled", domain=aged), warm_pool=30)
     generators = rngs(1)
     for _ in range(200):
