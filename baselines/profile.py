@@ -34,7 +34,7 @@ from spoofgym.bench.experiments.identity import code_identity
 from spoofgym.bench.report.campaign import ALARMS
 from spoofgym.bench.report.table import Table
 from spoofgym.bench.runs.players import specify_detector
-from spoofgym.bench.runs.world import World
+from spoofgym.bench.runs.world import PLAIN_ID, World
 from spoofgym.bench.search.amplitude import TuningResult, search_work
 from spoofgym.bench.search.backends import get_rate_limits
 from spoofgym.bench.search.open_loop import SPLIT, OpenLoopSearch
@@ -43,7 +43,7 @@ from spoofgym.cli.app import progress
 from spoofgym.cli.options import list_passed_options
 from spoofgym.core.registry import parse_spec, refuse_overrides
 from spoofgym.core.settings import describe
-from spoofgym.envs.spoofer_binding import ENV_ID, spoofer_context
+from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.policies import SpooferCard
 from spoofgym.policies.card import DECIDED_ON, NAME, describe_context
 from spoofgym.simulation import Timeline
@@ -230,7 +230,7 @@ def make_card(
         {
             "name": name,
             "kind": "profile",
-            "env_id": ENV_ID,
+            "env_id": PLAIN_ID,
             "env_kwargs": kwargs,
             "observation": None,
             "action": fields["action"],

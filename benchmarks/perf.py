@@ -38,7 +38,7 @@ from spoofgym.truth.noise import pad_count
 from . import _perf_kernels as kernels
 
 Titled = tuple[str, Sequence[str], Sequence[Sequence[str]]]
-ENV = "spoofgym/TightlyCoupled-v0"
+ENV = "spoofgym/Zhong2025-v0"
 SETTINGS: dict[str, Any] = {
     "scenario": {"name": "zhong2025", "epoch_interval_s": 1.0},
     "detector": {"name": "ewma", "thresholds": "nominal"},

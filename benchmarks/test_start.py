@@ -11,7 +11,7 @@ from spoofgym.core.compile import CACHE_VARIABLE
 IMPORT = "import spoofgym"
 STEP = f"""{IMPORT}
 import gymnasium as gym
-env = gym.make("spoofgym/TightlyCoupled-v0")
+env = gym.make("spoofgym/Zhong2025-v0")
 env.reset(seed=0)
 env.step(env.action_space.sample())
 """

@@ -61,9 +61,9 @@ the sensors.  Prefixes say whose value it is: `true_`, `estimated_`, `counterfei
 **Environments**
 
 Importing the package registers, for `gymnasium.make` and `gymnasium.make_vec`,
-``spoofgym/TightlyCoupled-v0``, ``spoofgym/RandomStart-v0``, the same with attacks that start at a
-random time in a random direction, ``spoofgym/Offsets-v0``, the same with an action for every
-satellite, and the small environments ``spoofgym/LooselyCoupled-v0``,
+``spoofgym/TightlyCoupled-v0``, the world and the detector of task S1, ``spoofgym/Offsets-v0``, the
+same with an action for every satellite, ``spoofgym/Zhong2025-v0``, the same victim in the fixed and
+fast world of a paper, and the small environments ``spoofgym/LooselyCoupled-v0``,
 ``spoofgym/Snapshot-v0`` and ``spoofgym/WheeledRobot-v0``.  The duel of a spoofer and a detector is
 `spoofgym.duel_v0`, for PettingZoo; one side of it against frozen opponents is
 ``spoofgym/SpooferView-v0`` or ``spoofgym/DetectorView-v0``.
@@ -73,6 +73,7 @@ from typing import TYPE_CHECKING, Any
 
 from gymnasium.envs.registration import register
 
+from .tasks import DEFAULT_TASK as _DEFAULT_TASK
 from .tasks import DETECTOR_TASKS as _DETECTOR_TASKS
 from .tasks import TASKS as _TASKS
 
@@ -87,13 +88,13 @@ register(
     id="spoofgym/TightlyCoupled-v0",
     entry_point="spoofgym.envs:SpoofEnv",
     vector_entry_point="spoofgym.envs:SpoofVectorEnv",
+    kwargs=_TASKS[_DEFAULT_TASK].env_kwargs,
 )
 
 register(
-    id="spoofgym/RandomStart-v0",
+    id="spoofgym/Zhong2025-v0",
     entry_point="spoofgym.envs:SpoofEnv",
     vector_entry_point="spoofgym.envs:SpoofVectorEnv",
-    kwargs={"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"},
 )
 
 register(
@@ -101,6 +102,7 @@ register(
     entry_point="spoofgym.envs:SpoofEnv",
     vector_entry_point="spoofgym.envs:SpoofVectorEnv",
     kwargs={
+        **_TASKS[_DEFAULT_TASK].env_kwargs,
         "control": "rate",
         "basis": "satellites",
         "decision_interval_s": 10.0,

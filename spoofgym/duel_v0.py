@@ -73,8 +73,9 @@ def env(*, render_mode: None = None, **settings: Any) -> Any:
         There is nothing to render.
     **settings
         The world of `spoofgym.envs.SpoofEnv`: scenario, receiver, attack, timeline, domain,
-        target_heading_deg, decision_interval_s, between, that of task T3 unless a scenario is
-        given; ``knowledge`` of the spoofer; and
+        target_heading_deg, decision_interval_s, between, on top of those of
+        ``spoofgym/TightlyCoupled-v0``, or of the class where a scenario is given; ``knowledge`` of
+        the spoofer; and
 
         - ``statistic``, "receiver" or "channel": whether the detector has one statistic, or one for
           every slot; ``weighs``: whether it weighs satellites in the filter;
@@ -105,7 +106,7 @@ def env(*, render_mode: None = None, **settings: Any) -> Any:
     Examples
     --------
     >>> from spoofgym import duel_v0
-    >>> duel = duel_v0.env(timeline={"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0})
+    >>> duel = duel_v0.env(scenario="zhong2025", timeline={"attack_s": 20.0})
     >>> duel.reset(seed=1)
     >>> duel.agent_selection, duel.metadata["decision_delay"]
     ('spoofer_0', 0)
@@ -153,7 +154,7 @@ def parallel_env(**settings: Any) -> Any:
     Examples
     --------
     >>> from spoofgym import duel_v0
-    >>> duel = duel_v0.parallel_env(timeline={"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0})
+    >>> duel = duel_v0.parallel_env(scenario="zhong2025", timeline={"attack_s": 20.0})
     >>> observations, infos = duel.reset(seed=1)
     >>> infos["detector_0"]["decision_delay"], "attacked" in infos["detector_0"]
     (1, False)

@@ -13,7 +13,6 @@ torch; install it with the extra ``train``.
 
 from __future__ import annotations
 
-import json
 import logging
 import tempfile
 import warnings
@@ -37,13 +36,11 @@ from .bench.experiments.identity import versions
 from .core.declared import check_number
 from .core.files import write_file
 from .core.registry import check_choice
-from .core.settings import describe
-from .detectors import Detector
-from .detectors.build import spec_of_judge
 from .detectors.learned import DetectorAgent, action_names, detector_card
 from .detectors.observation import DetectorObserver
+from .duel.learner import describe_environment
 from .duel.views import write_card
-from .envs.spoofer_binding import find_env_id, spoofer_context
+from .envs.spoofer_binding import spoofer_context
 from .policies.card import (
     Card,
     DetectorCard,
@@ -449,20 +446,6 @@ def _compare_sequences(judge: _Judge, policy: OnnxDetector, observer: DetectorOb
                 )
 
 
-OF_THE_CALL = (
-    "autoreset_mode",
-    "epoch",
-    "infos",
-    "num_envs",
-    "prefetch",
-    "render_mode",
-    "threads",
-    "vectorization_mode",
-    "victim",  # which the id names
-)
-"""Arguments of `gymnasium.make` and `make_vec` that change nothing of what is simulated."""
-
-
 def onnx(
     model: Any,
     env: Any = None,
@@ -570,7 +553,7 @@ def _make_card(
             "a spoofer in a file observes what its `knowledge` gives; the environment has an "
             f"`observation` of its own: {core.settings['observation']!r}"
         )
-    env_id, env_kwargs = _describe_env(inner)
+    env_id, env_kwargs = describe_environment(inner)
     context = spoofer_context(core.setup, 1, core.observer, core.commands)
     detector = env_kwargs.get("detector", "the default detector")
     name = detector["name"] if isinstance(detector, Mapping) else detector
@@ -590,45 +573,6 @@ def _make_card(
             versions=versions() | library_versions(),
             file=describe_file(path.name, content),
         )
-
-
-def _describe_env(inner: Any) -> tuple[str, dict[str, Any]]:
-    env_id, given = getattr(inner, "env_id", None), getattr(inner, "env_kwargs", None)
-    if env_id is None:
-        spec = getattr(inner, "spec", None)
-        if spec is None:
-            raise ValueError("`env` must be made by `gymnasium.make`, `make_vec` or `SpoofVecEnv`")
-        env_id, given = find_env_id(type(inner.core.setup)), spec.kwargs
-    own = {name: value for name, value in dict(given or {}).items() if value is not None}
-    own = {name: value for name, value in own.items() if name not in OF_THE_CALL}
-    judge = _find_own_detector(inner, own.get("detector"))
-    if judge is not None:
-        own["detector"] = spec_of_judge(judge)
-        if "<locals>" in own["detector"]["name"] or own["detector"]["name"].startswith("__main__"):
-            raise ValueError(
-                f"no card can name the detector {own['detector']['name']!r}: put its class into a "
-                "module that can be imported"
-            )
-    try:
-        return env_id, json.loads(json.dumps({k: describe(x) for k, x in own.items()}))
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"the settings of the environment can't be written into a card ({error}): give its "
-            "parts by name and settings"
-        ) from error
-
-
-def _find_own_detector(inner: Any, setting: Any) -> Detector | None:
-    """Detector that a wrapper has set, outside of the loop or within, or that is given as an
-    object; None where the settings name it."""
-    outside: Detector | None = getattr(inner, "outside_detector", None)
-    if outside is not None:
-        return outside
-    stale = getattr(inner, "wrapped", False) and not hasattr(inner, "env_kwargs")
-    if not stale and (setting is None or isinstance(setting, str | Mapping)):
-        return None
-    found: Detector = inner.core.setup.detector
-    return found
 
 
 def _normalization_around(model: Any, env: Any) -> Normalization | None:

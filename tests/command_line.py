@@ -6,7 +6,9 @@ from typer.testing import CliRunner
 
 from spoofgym.cli import app
 
-SHORT = ["--warmup-s", "20", "--live-s", "10", "--attack-s", "20", "--time-to-alert-s", "5"]
+PAPERS = ["--env", "spoofgym/Zhong2025-v0"]
+TIMES = ["--warmup-s", "20", "--live-s", "10", "--attack-s", "20", "--time-to-alert-s", "5"]
+SHORT = [*PAPERS, *TIMES]
 TRAINING = [*SHORT, "--training-seeds", "11", "--budget", "0.25", "--threads", "1"]
 FIXED = ["--nominal", "--selection-seeds", "0", "--set", "domain={}"]
 QUICK = [*TRAINING, *FIXED, "--seeds", "4"]

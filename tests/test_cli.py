@@ -63,7 +63,7 @@ def test_list_names_all_there_is_and_marks_oracles(monkeypatch):
     assert names["spoofers"]["ramp"].items() >= {**ramp, "knowledge": "blind"}.items()
     for name, row in names["envs"].items():
         assert row["settings"].items() >= json.loads(json.dumps(gym.spec(name).kwargs)).items()
-    assert "target_heading_deg=random" in " ".join(call("list", "envs").output.split())
+    assert "decision_interval_s=10.0" in " ".join(call("list", "envs").output.split())
     oracles = [name for name, row in names["detectors"].items() if row["oracle"]]
     assert oracles == ["oracle-ramp", "oracle-step"]
     assert names["detectors"]["fixes"]["measures"] == "position"

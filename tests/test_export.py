@@ -31,11 +31,16 @@ from spoofgym.testing import check_detector
 from .nightly import heavy
 
 TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 10.0, "time_to_alert_s": 1.0}
-WORLD = {"detector": {"name": "snapshot-chi2", "thresholds": "nominal"}, "timeline": TIMELINE}
+WORLD = {
+    "scenario": "zhong2025",
+    "detector": {"name": "snapshot-chi2", "thresholds": "nominal"},
+    "timeline": TIMELINE,
+}
 
 
 def make(**settings):
-    return SpoofVecEnv(4, seed=0, **{**WORLD, "knowledge": "blind", **settings})
+    world = {key: x for key, x in WORLD.items() if key != "scenario" or "task" not in settings}
+    return SpoofVecEnv(4, seed=0, **{**world, "knowledge": "blind", **settings})
 
 
 def read(path):
@@ -87,7 +92,7 @@ def test_a_card_says_where_it_was_made_and_the_file_fits_there(tmp_path):
     model = PPO("MlpPolicy", envs, n_steps=8, batch_size=32, seed=3, device="cpu")
     model.learn(32)
     card = onnx(model, path=path, training={"note": "short"})
-    assert (card.env_id, card.env_kwargs["scenario"]) == ("spoofgym/TightlyCoupled-v0", "trolley")
+    assert (card.env_id, card.env_kwargs["scenario"]) == ("spoofgym/BenchT3-v1", "trolley")
     told = (card.knowledge.run_time, card.knowledge.design_time)
     assert told == ("blind", "snapshot-chi2 and its world, by training")
     expected = {"algorithm": "PPO", "steps": 32, "seed": 3, "amplitude": 1.0, "note": "short"}
@@ -106,16 +111,16 @@ def sb3(env_id, **settings):
 @pytest.mark.parametrize(
     ("name", "build"),
     [
-        ("TightlyCoupled", gym.make),
+        ("Zhong2025", gym.make),
         ("Snapshot", sb3),
-        pytest.param("TightlyCoupled", gym.make_vec, marks=pytest.mark.nightly),
+        pytest.param("Zhong2025", gym.make_vec, marks=pytest.mark.nightly),
         pytest.param("LooselyCoupled", sb3, marks=pytest.mark.nightly),
         pytest.param("WheeledRobot", sb3, marks=pytest.mark.nightly),
     ],
 )
 def test_a_torch_module_of_any_environment(name, build, tmp_path):
     env_id, path = f"spoofgym/{name}-v0", tmp_path / "net.onnx"
-    envs = build(env_id, knowledge="blind", **(WORLD if name == "TightlyCoupled" else {}))
+    envs = build(env_id, knowledge="blind", **(WORLD if name == "Zhong2025" else {}))
     core = getattr(envs, "unwrapped", envs)
     size, count = len(core.observation_names), len(core.action_names)
     net = torch.nn.Sequential(torch.nn.Linear(size, 8), torch.nn.Tanh(), torch.nn.Linear(8, count))
@@ -128,13 +133,13 @@ def test_a_torch_module_of_any_environment(name, build, tmp_path):
     assert net.training  # as it was
     for word in (b"/home", b"/root", b"site-packages", b".py", str(tmp_path).encode()):
         assert word not in path.read_bytes()  # nothing of this machine
-    if name != "TightlyCoupled":
+    if name != "Zhong2025":
         with pytest.raises(ValueError, match=r"does not fit|was made for another"):
             attach(str(path), make())
 
 
 def test_a_detector_that_has_learned_is_a_detector_policy(tmp_path):
-    envs = SpoofVecEnv(2, side="detector", pool="ramp", timeline=TIMELINE)
+    envs = SpoofVecEnv(2, side="detector", pool="ramp", scenario="zhong2025", timeline=TIMELINE)
     path = tmp_path / "g.onnx"
     model = PPO("MlpPolicy", envs, n_steps=8, batch_size=16, seed=0, device="cpu")
     model.learn(16)
@@ -291,7 +296,7 @@ class Half(gym.ObservationWrapper):
 
 def test_a_wrapper_that_changes_what_is_observed_is_refused_by_its_name(tmp_path):
     """By an export, by a score, and before a policy from a card."""
-    plain = partial(gym.make, "spoofgym/TightlyCoupled-v0", knowledge="blind", **WORLD)
+    plain = partial(gym.make, "spoofgym/Zhong2025-v0", knowledge="blind", **WORLD)
     judge = Evaluator(runs=2, fit_runs=59, **WORLD)
     for wrapped, name in (
         (Half(plain()), "tests.test_export:Half"),
@@ -333,7 +338,7 @@ def test_a_card_names_the_detector_that_a_wrapper_has_set(tmp_path):
     wrapped = [
         wrappers.DetectorWrapper(task, own),
         wrappers.PassiveDetector(gym.make("spoofgym/BenchT1-v1"), own),
-        sb3("spoofgym/TightlyCoupled-v0", detector=own),
+        sb3("spoofgym/Zhong2025-v0", detector=own),
     ]
     for number, env in enumerate(wrapped):
         path = tmp_path / f"{number}.onnx"
@@ -352,7 +357,7 @@ def test_a_card_names_the_detector_that_a_wrapper_has_set(tmp_path):
     class Local(SnapshotChi2):
         pass
 
-    env = sb3("spoofgym/TightlyCoupled-v0", detector=Local())
+    env = sb3("spoofgym/Zhong2025-v0", detector=Local())
     model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
     with pytest.raises(ValueError, match=r"no card can name .*Local'"):
         onnx(model, path=tmp_path / "local.onnx")

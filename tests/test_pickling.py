@@ -55,7 +55,7 @@ def test_what_was_pickled_compiled_is_plain_python_where_nothing_is_compiled():
     assert float(value) == pytest.approx(wgs84.gravity(7e6, 0.0, 0.0)[0], rel=1e-12)
 
 
-KINDS = ["TightlyCoupled", "3 Snapshot", "LooselyCoupled", "Snapshot", "WheeledRobot"]
+KINDS = ["Zhong2025", "3 Snapshot", "LooselyCoupled", "Snapshot", "WheeledRobot"]
 
 
 @pytest.mark.parametrize("kinds", [KINDS[:2], pytest.param(KINDS[2:], marks=pytest.mark.nightly)])

@@ -30,6 +30,7 @@ from .nightly import heavy
 
 TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 5.0, "time_to_alert_s": 1.0}
 SETTINGS = {
+    "scenario": "zhong2025",
     "action": "full-command",
     "detector": {"name": "ewma", "false_alarm": 0.02},
     "knowledge": "oracle",
@@ -57,7 +58,8 @@ def assert_same(one, other):
             assert np.array_equal(a, b)
 
 
-SHORT = {"timeline": TIMELINE}
+TIMES = {"timeline": TIMELINE}
+SHORT = {**TIMES, "scenario": "zhong2025"}
 NOMINAL = {"name": "snapshot-chi2", "thresholds": "nominal"}
 TWO_WORLDS = {"worlds": 2, "turned_deg": [0.0, 360.0]}
 SMALL = {"timeline": {"warmup_s": 5, "live_s": 5, "attack_s": 6}}
@@ -66,14 +68,14 @@ LOOSE = {
     "detector": {"name": "windowed-chi2", "window": 8},
 }
 IDS = {
-    "TightlyCoupled-v0": SETTINGS,
+    "Zhong2025-v0": SETTINGS,
     "LooselyCoupled-v0": LOOSE,
     "Snapshot-v0": SMALL,
     "WheeledRobot-v0": SMALL,
     "SpooferView-v0": {**SHORT, "pool": [NOMINAL, {"name": "never"}]},
     "DetectorView-v0": {**SHORT, "pool": ["ramp", "step"]},
-    "BenchT3-v1": {**SHORT, "detector": NOMINAL, "domain": TWO_WORLDS},
-    "BenchT6-v1": {**SHORT, "pool": [NOMINAL, {"name": "never"}]},
+    "BenchT3-v1": {**TIMES, "detector": NOMINAL, "domain": TWO_WORLDS},
+    "BenchT6-v1": {**TIMES, "pool": [NOMINAL, {"name": "never"}]},
 }
 
 
@@ -81,7 +83,7 @@ IDS = {
 def test_every_id_is_the_same_as_by_make_vec(name):
     env_id, settings = f"spoofgym/{name}", IDS[name]
     vector = gym.make_vec(env_id, num_envs=3, autoreset_mode="same_step", **settings)
-    envs = SpoofVecEnv(3, env_id=env_id, seed=5, prefetch=name != "TightlyCoupled-v0", **settings)
+    envs = SpoofVecEnv(3, env_id=env_id, seed=5, prefetch=name != "Zhong2025-v0", **settings)
     seen, _ = vector.reset(seed=5)
     assert np.array_equal(envs.reset(), seen)
     assert envs.observation_space == vector.single_observation_space
@@ -115,7 +117,7 @@ def test_every_id_is_the_same_as_by_make_vec(name):
 
 
 def test_a_task_a_side_or_a_pool_alone_chooses_the_environment():
-    settings = {**SHORT, "detector": NOMINAL, "domain": TWO_WORLDS}
+    settings = {**TIMES, "detector": NOMINAL, "domain": TWO_WORLDS}
     one = SpoofVecEnv(2, task="T3", seed=1, **settings)
     other = SpoofVecEnv(2, env_id="spoofgym/BenchT3-v1", seed=1, **settings)
     assert np.array_equal(one.reset(), other.reset())
@@ -250,7 +252,7 @@ def test_recorded_epochs_are_those_of_the_vector_environment(tmp_path):
     ends = sum(step[2].sum() for step in play(envs, 25))
     envs.close()
     settings = {**SETTINGS, "decision_interval_s": 1.0, "autoreset_mode": "same_step"}
-    other = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=ENVS, **settings)
+    other = gym.make_vec("spoofgym/Zhong2025-v0", num_envs=ENVS, **settings)
     other = vector_wrappers.RecordEpochs(other, tmp_path / "gymnasium")
     other.reset(seed=3)
     play(other, 25)
@@ -271,9 +273,7 @@ def test_recorded_epochs_are_those_of_the_vector_environment(tmp_path):
 def test_a_detector_outside_ends_the_episodes_that_it_ends_around_the_vector():
     detector, own = Calibrated(AlarmAt(7), scale=1.0), {"detector": "never", "infos": "all"}
     mine = AlarmRecorder(VecMonitor(PassiveDetector(make(**own), detector)))
-    envs = gym.make_vec(
-        "spoofgym/TightlyCoupled-v0", num_envs=ENVS, **{**SETTINGS, **own}, threads=1
-    )
+    envs = gym.make_vec("spoofgym/Zhong2025-v0", num_envs=ENVS, **{**SETTINGS, **own}, threads=1)
     theirs = wrapped_vectors.AlarmRecorder(wrapped_vectors.PassiveDetector(envs, detector))
     mine.reset()
     theirs.reset(seed=3)
@@ -323,7 +323,7 @@ def test_a_wrapper_sets_the_detector_as_its_argument_does():
 @pytest.mark.nightly
 @pytest.mark.parametrize("method", ["spawn", "forkserver"])
 def test_processes_of_their_own_find_an_id_by_its_module(method):
-    make = partial(gym.make, "spoofgym:spoofgym/TightlyCoupled-v0", detector="never")
+    make = partial(gym.make, "spoofgym:spoofgym/Zhong2025-v0", detector="never")
     envs = SubprocVecEnv([make, make], start_method=method)
     assert envs.reset().shape == (2, 6)
     envs.close()

@@ -16,6 +16,7 @@ from spoofgym.policies.contract import NotFinite
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 
 WORLD = {
+    "scenario": "zhong2025",
     "detector": {"name": "snapshot-chi2", "thresholds": "nominal"},
     "timeline": {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 5.0, "time_to_alert_s": 1.0},
 }

@@ -7,7 +7,7 @@ HEAVY = {"IPython", "matplotlib", "onnxruntime", "pandas", "pyarrow", "stable_ba
 COMPILER = {"llvmlite", "numba", "scipy"}
 FIRST_STEPS = """
 import gymnasium
-for name in ("TightlyCoupled-v0", "Snapshot-v0"):
+for name in ("Zhong2025-v0", "Snapshot-v0"):
     env = gymnasium.make(f"spoofgym:spoofgym/{name}")  # which imports what is before the colon
     env.reset(seed=1)
     env.step(env.action_space.sample())

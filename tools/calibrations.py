@@ -16,18 +16,27 @@ from typing import Any
 
 from spoofgym.bench.experiments.calibration import calibrate
 from spoofgym.bench.experiments.suite import list_task_detectors
-from spoofgym.bench.runs.world import HEADLINE_DOMAIN, VICTIMS
+from spoofgym.bench.runs.world import PLAIN_ID, VICTIMS
 from spoofgym.calibration.thresholds import WEIGHING_RUNS, inner_detectors, suitable_detectors
 from spoofgym.core.progress import show_progress
 from spoofgym.core.registry import check_choice
 from spoofgym.detectors import Detector
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER
 from spoofgym.envs.factory import make_setup
-from spoofgym.envs.spoofer_binding import ENV_ID
 from spoofgym.simulation.setup import Setup
 from spoofgym.simulation.simulator import weighs
 from spoofgym.tasks import DETECTOR_TASKS, PAPERS, RANGE_RATE_TESTS, TASKS
 
+HEADLINE_DOMAIN = {
+    "start_s": [0.0, None],
+    "turned_deg": [0.0, 360.0],
+    "constellation_time_s": [0.0, 86_400.0],
+    "worlds": 32,
+    "turn_on": "drawn",
+}
+"""What is drawn for every run there: the onset, where the flight heads, the sky, and the turn-on
+constants of the inertial sensors.  Which way an attack pushes is fixed, so that its angle to the
+flight is drawn, too."""
 RANDOM_START = {"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"}
 HEADLINES: dict[str, dict[str, Any]] = {
     "headline-zhong2025": {"domain": HEADLINE_DOMAIN},
@@ -43,10 +52,10 @@ OWN_WORLDS = ("S1", "S2", "S3", "T3", "T4")
 """Tasks whose own detectors, tests of range rates and classics of the tasks for detectors are
 calibrated, and no others; the world of T3, which T5 and T6 have, too, is the headline `trolley`."""
 WORLDS = {
-    **{name: (ENV_ID, settings) for name, settings in HEADLINES.items()},
+    **{name: (PLAIN_ID, settings) for name, settings in HEADLINES.items()},
     **PAPERS,
-    "random-start": (ENV_ID, RANDOM_START),
-    **{key: (ENV_ID, TASKS[key].world_kwargs) for key in OWN_WORLDS},
+    "random-start": (PLAIN_ID, RANDOM_START),
+    **{key: (PLAIN_ID, TASKS[key].world_kwargs) for key in OWN_WORLDS},
 }
 """Environments and their settings, by the names of the worlds."""
 

@@ -31,7 +31,7 @@ SEED = 20261121
 STEPS, MILD_STEPS = 400, 325
 BATCHES = (1, 3, 17)
 MODES = ("next_step", "same_step", "disabled")
-MAIN = "spoofgym/TightlyCoupled-v0"
+MAIN = "spoofgym/Zhong2025-v0"
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 40.0, "time_to_alert_s": 2.0}
 WORLDS = {"start_s": [0.0, 30.0], "turned_deg": [0.0, 360.0], "worlds": 2}
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -45,12 +45,17 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "meaconer": {"attack": "meaconer", "detector": {"name": "cusum"}},
 }
 """Settings of the main id that change what is simulated, in short episodes."""
+DRAWN = {
+    **{"start_s": [0.0, None], "turned_deg": [0.0, 360.0], "constellation_time_s": [0.0, 86_400.0]},
+    **{"worlds": 32, "turn_on": "drawn"},
+}
+GAME = {"scenario": "trolley", "receiver": "matched", "domain": DRAWN, "timeline": SHORT}
 DUELS: dict[str, dict[str, Any]] = {
     "": {},
-    "+weighted": {"payoff": "weighted", "threshold": 0.7, "timeline": SHORT},
-    "+channel": {"statistic": "channel", "timeline": SHORT, "threshold": 0.9},
-    "+interval": {"decision_interval_s": 1.0, "between": "linear", "timeline": SHORT},
-    "+domain": {"domain": WORLDS, "target_heading_deg": "random", "timeline": SHORT},
+    "+weighted": {"payoff": "weighted", "threshold": 0.7, **GAME},
+    "+channel": {"statistic": "channel", **GAME, "threshold": 0.9},
+    "+interval": {"decision_interval_s": 1.0, "between": "linear", **GAME},
+    "+domain": {**GAME, "domain": WORLDS, "target_heading_deg": "random"},
 }
 TURNS = {"spoofer_0": 0, "detector_0": 2}
 """As which receiver of a batch an agent of the duel acts."""
@@ -67,10 +72,11 @@ IMPORTS = {
     "own_calibrations": "spoofgym.detectors.calibration:FOLDER_VARIABLE",
 }
 """What is imported or patched, by use; the name map may give other places in the new tree."""
-TIMES = "--warmup-s 20 --live-s 10 --attack-s 20 --time-to-alert-s 5"
+TIMES = "--scenario zhong2025 --warmup-s 20 --live-s 10 --attack-s 20 --time-to-alert-s 5"
 BENCH = (
     f"spoofgym bench --json --training-seeds 16 --budget 0.25 --selection-seeds 0 {TIMES} "
-    "--nominal --detector ewma --spoofer none --spoofer ramp:rate_mps=tuned --out results"
+    "--set domain={} --nominal --detector ewma --spoofer none --spoofer ramp:rate_mps=tuned "
+    "--out results"
 )
 COMMANDS = {
     ("list", ""): "spoofgym list --json",
@@ -78,13 +84,16 @@ COMMANDS = {
     ("bench", "killed"): f"{BENCH} --seeds 8",
     ("bench", "shipped"): (
         "spoofgym bench --json --seeds 4 --training-seeds 16 --budget 0.25 --selection-seeds 0 "
-        "--detector ewma --spoofer none --spoofer ramp:rate_mps=0.2 --out results"
+        "--scenario zhong2025 --set domain={} --detector ewma --spoofer none "
+        "--spoofer ramp:rate_mps=0.2 --out results"
     ),
     ("run", ""): (
         f"spoofgym run --json --no-picture {TIMES} --spoofer step "
         "--detector snapshot-chi2:thresholds=nominal"
     ),
-    ("run", "shipped"): "spoofgym run --json --no-picture --spoofer ewma-ppo --detector ewma",
+    ("run", "shipped"): (
+        "spoofgym run --json --no-picture --scenario zhong2025 --spoofer ewma-ppo --detector ewma"
+    ),
     ("calibrate", ""): (
         f"spoofgym calibrate --json {TIMES} --false-alarms-per-hour 20 --detector snapshot-chi2 "
         "--detector cusum --runs 40 --hold-out 40 --transfer groves --check"

@@ -121,12 +121,11 @@ def _judges(
 ) -> tuple[list[Detector], set[int]]:
     """Detectors, and which of them were named; they may not request thresholds. Those that never
     alarm are left out, and of `all` those that can't be rescaled."""
-    from ..bench.runs.world import VICTIMS
     from ..calibration.thresholds import inner_detectors, suitable_detectors
     from ..detectors.build import THRESHOLD_KEYS
     from ..detectors.calibrated import describe_identity
 
-    specs: list[Any] = list(VICTIMS[world.env].detectors) if not texts else opt.parse_specs(texts)
+    specs: list[Any] = opt.parse_specs(texts) if texts else list(world.default_detectors)
     named: list[Any] = []
     offered: list[Any] = []
     for spec in specs:
@@ -150,7 +149,6 @@ def _judges(
 
 def _other(world: World, text: str) -> Any:
     """Another world: settings of this one that differ."""
-    from ..bench.runs.world import VICTIMS
     from ..core.registry import check_keywords
 
     if text.lstrip().startswith("{"):
@@ -160,7 +158,7 @@ def _other(world: World, text: str) -> Any:
             raise ValueError(f"--transfer {text!r} is not JSON: {error}") from error
     else:
         (changed,) = ({"scenario": spec} for spec in opt.parse_specs([text]))
-    known = inspect.signature(VICTIMS[world.env].setup).parameters
+    known = inspect.signature(world.kind).parameters
     settings = [name for name in known if name != "detector"]
     check_keywords(f"the world of --transfer {text}", changed, settings)
     found = world.copy_with(**changed).setup

@@ -21,7 +21,8 @@ from .app import progress
 if TYPE_CHECKING:
     from ..bench.experiments import Experiment, Reader
 
-ENV = "spoofgym/TightlyCoupled-v0"
+ENV, PLAIN = "spoofgym/TightlyCoupled-v0", "spoofgym/Zhong2025-v0"
+"""Environment where none is named, and of another scenario."""
 LARGEST_RUNS = 1_000_000
 """More are a slip of the keyboard."""
 SPEC_HELP = (
@@ -153,10 +154,11 @@ class WorldOptions:
     """Options of the victim and of what it meets, and the command line that they are on."""
 
     context: typer.Context
-    env: str = Option(
-        ENV,
-        help="Environment whose victim is attacked: spoofgym/TightlyCoupled-v0, "
-        "spoofgym/LooselyCoupled-v0, spoofgym/Snapshot-v0 or spoofgym/WheeledRobot-v0.",
+    env: str | None = Option(
+        None,
+        help=f"Environment, whose settings all others are put on top of. Default: {ENV}, the world "
+        f"of task S1, or with --scenario or --track {PLAIN}, whose settings are those of the "
+        "papers. See `spoofgym list envs`.",
     )
     settings: list[str] | None = Option(
         None,
@@ -164,19 +166,21 @@ class WorldOptions:
         help="Setting of the victim that has no option of its own, may be repeated: name=value, "
         "the value as JSON, as in satellites=10 or domain='{\"start_s\": [0, 60]}'.",
     )
-    scenario: str = Option("zhong2025", help="Scenario: a name, with settings as for a detector.")
+    scenario: str | None = Option(
+        None, help="Scenario: a name, with settings as for a detector. Default: the environment's."
+    )
     errors: str | None = Option(
         None, help="GNSS errors instead of the scenario's own: groves, zhong2025 ..."
     )
     imu: str | None = Option(
         None, help="Grade of the inertial sensors instead: aviation, tactical, consumer."
     )
-    tuning: str = Option(
-        "paper",
-        help="Noise that the receiver assumes: as the papers print it, or as the world has it "
-        "(matched).",
+    tuning: str | None = Option(
+        None,
+        help="Noise that the receiver assumes: as the papers print it (paper), or as the world has "
+        "it (matched).",
     )
-    attack: str = Option("false-position", help=f"What the spoofer can do. {SPEC_HELP}")
+    attack: str | None = Option(None, help=f"What the spoofer can do. {SPEC_HELP}")
     track: Path | None = Option(
         None,
         help="Recorded flight (.csv, .json, .parquet; .gz too) to fly instead of the scenario's. "
@@ -197,15 +201,15 @@ class WorldOptions:
     day: str | None = Option(
         None, "--date", help="Day of the flight, YYYY-MM-DD. Default: the day of the ephemerides."
     )
-    warmup_s: float = Option(
-        200.0,
-        help="Clean run before the attack, in seconds. The defaults of the times are those of "
-        "spoofgym/TightlyCoupled-v0; the others have their own.",
+    warmup_s: float | None = Option(
+        None,
+        help="Clean run before the attack, in seconds. The defaults of the times are those of the "
+        "environment.",
     )
-    live_s: float = Option(180.0, help="Its last part, with the detectors live, in seconds.")
-    attack_s: float = Option(150.0, help="Command phase of the attack, in seconds.")
-    time_to_alert_s: float = Option(
-        10.0,
+    live_s: float | None = Option(None, help="Its last part, with the detectors live, in seconds.")
+    attack_s: float | None = Option(None, help="Command phase of the attack, in seconds.")
+    time_to_alert_s: float | None = Option(
+        None,
         help="Time to alert, in seconds: displacement induced within this time before an alarm "
         "does not count.",
     )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from .app import progress
 from .options import (
     ENV,
+    PLAIN,
     SCENARIO_OPTIONS,
     TASK_OPTIONS,
     TIMES,
@@ -24,14 +25,7 @@ if TYPE_CHECKING:
     from ..bench.search.amplitude import Tuning
     from ..bench.search.attack_suite import Selection
     from ..core.registry import Spec
-    from ..truth.scenario import Scenario
 
-OPTIONS_OF = {
-    "scenario": ("scenario", "errors", "imu", "track", "ephemeris"),
-    "receiver": ("tuning",),
-    "timeline": TIMES,
-}
-"""Options that make settings of the victim, which `--set` may give in their place."""
 LEFT_OUT = " is left out: "
 """In a note, between the label of a detector and the reason."""
 Reports = dict[str, Any] | None
@@ -62,11 +56,10 @@ def build_suite(
     """The suite of the options or of a task, and the reports of real input; nothing is looked up.
 
     `nominal`: whether detectors that request no thresholds have them as published; `headline`:
-    whether they have one rate of false alarms, in a drawn world, and controls, unless a task or an
-    option decides otherwise; `settings`: those of a suite that no task decides.
+    whether they have one rate of false alarms, and controls, unless a task or an option decides
+    otherwise; `settings`: those of a suite that no task decides.
     """
     from ..bench.experiments.suite import Suite
-    from ..bench.runs.world import HEADLINE_DOMAIN
     from ..detectors.calibrated import STANDARD_RATE
     from ..tasks import get_task
 
@@ -85,15 +78,11 @@ def build_suite(
     if nominal:
         thresholds = {"thresholds": "nominal"}
     decided, reports = _victim(options)
-    specs = _detectors(options, decided, detectors, thresholds, headline)
-    drawn = options.env == ENV and options.track is None and "domain" not in decided["settings"]
-    if headline and drawn:
-        decided["domain"] = HEADLINE_DOMAIN
+    specs = _detectors(decided, detectors, thresholds, headline)
     return Suite(**decided, detectors=specs, **settings), reports
 
 
 def _detectors(
-    options: WorldOptions,
     decided: Mapping[str, Any],
     texts: Sequence[str] | None,
     thresholds: Spec,
@@ -102,18 +91,16 @@ def _detectors(
     """Detectors with the thresholds that are requested; of a headline the usual ones and the
     controls by default, and `all` for all, tests with a drift term a second time, rescaled."""
     from ..bench.experiments.suite import list_world_detectors
-    from ..bench.runs.world import CONTROLS, VICTIMS, World
-    from ..core.registry import check_choice
+    from ..bench.runs.world import CONTROLS, World
     from ..detectors.build import asks
 
-    check_choice("environment of the benchmark", options.env, VICTIMS)
-    usual, specs = VICTIMS[options.env].detectors, parse_specs(texts) if texts else None
+    world = World.of(**{name: x for name, x in decided.items() if name != "notes"})
+    usual, specs = world.default_detectors, parse_specs(texts) if texts else None
     if headline and specs is None:
         specs = [*CONTROLS, *usual]
     elif headline and any(spec["name"] == "all" for spec in specs or ()):
         named = [spec for spec in specs or () if spec["name"] != "all"]
         names = {spec["name"] for spec in named}
-        world = World.of(**{name: x for name, x in decided.items() if name != "notes"})
         found = list_world_detectors(world.setup, "false_alarms_per_hour" in thresholds)
         specs = [*named, *(spec for spec in found if spec["name"] not in names)]
     if not thresholds:
@@ -186,51 +173,56 @@ def _victim(options: WorldOptions) -> tuple[dict[str, Any], Reports]:
     """Environment, settings of the victim and notes, and the reports of real input."""
     from ..core.registry import parse_setting
 
-    decided, reports = _own_options(options)
     own: dict[str, Any] = {}
     for name, value in map(parse_setting, options.settings or ()):
         if name in own:
             raise ValueError(f"--set {name} is given twice: {own[name]!r} and {value!r}")
         own[name] = value
-    for name in {*own} & {*decided}:
-        if not options.find_passed(OPTIONS_OF.get(name, (name,))):
-            del decided[name]  # its option has its default
+    decided, reports = _own_options(options, "scenario" in own)
     return {**decided, "settings": own}, reports
 
 
-def _own_options(options: WorldOptions) -> tuple[dict[str, Any], Reports]:
-    """Environment and settings that have options of their own, and the reports of real input."""
-    if options.env != ENV:
+def _own_options(options: WorldOptions, other: bool) -> tuple[dict[str, Any], Reports]:
+    """Environment and settings that have options of their own, and the reports of real input;
+    `other`: whether a scenario is given otherwise."""
+    from ..envs.factory import find_environment
+    from ..simulation import TightlyCoupledSetup
+
+    other = other or bool(options.find_passed(("scenario", "track")))
+    env = options.env or (PLAIN if other else ENV)
+    kind, usual = find_environment(env)
+    times = {name: x for name in TIMES if (x := getattr(options, name)) is not None}
+    decided: dict[str, Any] = {"env": env}
+    if times:
+        decided["timeline"] = {**usual.get("timeline", {}), **times}
+    if kind is not TightlyCoupledSetup:
         for option in options.find_passed(SCENARIO_OPTIONS).values():
             raise ValueError(
-                f"{option} is an option of {ENV}, not of {options.env}, whose settings are "
-                "given with --set"
+                f"{option} is an option of {ENV}, not of {env}, whose settings are given with --set"
             )
-        times = {name: getattr(options, name) for name in options.find_passed(TIMES)}
-        return {"env": options.env, **({"timeline": times} if times else {})}, None
-    scenario, lines, reports = _scenario(options)
-    (attack,) = parse_specs([options.attack])
-    return {
-        "env": options.env,
-        "scenario": scenario,
-        "receiver": {"tuning": options.tuning},
-        "attack": attack,
-        "timeline": {name: getattr(options, name) for name in TIMES},
-        "notes": lines,
-    }, reports
+        return decided, None
+    if options.tuning is not None:
+        decided["receiver"] = {"tuning": options.tuning}
+    if options.attack is not None:
+        (decided["attack"],) = parse_specs([options.attack])
+    scenario, lines, reports = _scenario(options, usual.get("scenario"))
+    return {**decided, **scenario, "notes": lines}, reports
 
 
-def _scenario(options: WorldOptions) -> tuple[Scenario, tuple[str, ...], Reports]:
-    """The scenario, and the lines and reports of real input."""
+def _scenario(options: WorldOptions, usual: Any) -> tuple[dict[str, Any], tuple[str, ...], Reports]:
+    """The scenario, where an option changes that of the environment, and the lines and reports of
+    real input."""
     from ..truth.scenario import make_scenario
 
-    (spec,) = parse_specs([options.scenario])
+    spec = parse_specs([options.scenario])[0] if options.scenario else usual
     own = {"errors": options.errors, "imu": options.imu}
-    usual = make_scenario({**spec, **{key: x for key, x in own.items() if x is not None}})
+    own = {key: x for key, x in own.items() if x is not None}
+    own = {**({"name": spec} if isinstance(spec, str) else spec or {}), **own}
     if options.track is None and options.ephemeris is None:
         for option in options.find_passed(("from_s", "duration", "day")).values():
             raise ValueError(f"{option} cuts a recorded track; there is no --track")
-        return usual, (), None
+        changed = options.find_passed(("scenario", "errors", "imu"))
+        return ({"scenario": make_scenario(own)} if changed else {}), (), None
     if options.track is None or options.ephemeris is None:
         raise ValueError("--track and --ephemeris belong together: a flight needs its satellites")
     from datetime import date
@@ -241,6 +233,7 @@ def _scenario(options: WorldOptions) -> tuple[Scenario, tuple[str, ...], Reports
         day = None if options.day is None else date.fromisoformat(options.day)
     except ValueError as error:
         raise ValueError(f"--date must be YYYY-MM-DD, got {options.day!r}") from error
+    base = make_scenario(own)
     accepted = ("errors", "imu", "epoch_interval_s", "channels", "mask_deg", "imu_rate_hz")
     real = real_scenario(
         options.track,
@@ -248,6 +241,6 @@ def _scenario(options: WorldOptions) -> tuple[Scenario, tuple[str, ...], Reports
         from_s=options.from_s,
         duration_s=options.duration,
         day=day,
-        **{name: getattr(usual, name) for name in accepted},
+        **{name: getattr(base, name) for name in accepted},
     )
-    return real.scenario, real.lines, real.reports
+    return {"scenario": real.scenario}, real.lines, real.reports

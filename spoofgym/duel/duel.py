@@ -26,16 +26,14 @@ from ..simulation.domain import FloatArray
 from ..simulation.monitors import Monitor
 from ..simulation.simulator import Simulator
 from ..simulation.tight import TightlyCoupledSetup
-from ..tasks import get_task
+from ..tasks import DEFAULT_TASK, get_task
 from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
 
-GAME = "T3"
-"""Task that gives a duel its world by default: the best detector that is known there still
-concedes part of the alert limit (docs/game.md)."""
 RESET, WITHIN = "reset", "within"
 """Where an attack begins: at the reset, after the whole warm-up, or at a drawn moment within."""
-OPPONENT, ELSEWHERE = "solution-separation", "ewma"
-"""Detector that a spoofer meets by default there, the best of `GAME`, and in any other scenario."""
+PACE = ("decision_interval_s", "between")
+ELSEWHERE = "ewma"
+"""Detector that a spoofer meets by default in a scenario that is given."""
 
 
 def own_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -43,14 +41,22 @@ def own_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {k: x for k, x in settings.items() if k != "scenario" or x is not None}
 
 
-def default_opponent(settings: Mapping[str, Any]) -> str:
-    return ELSEWHERE if "scenario" in own_settings(settings) else OPPONENT
+def default_opponent(settings: Mapping[str, Any]) -> Any:
+    """Detector of the default task, or of a scenario that is given, at the default rate."""
+    if "scenario" in own_settings(settings):
+        return ELSEWHERE
+    reference = get_task(DEFAULT_TASK).detector
+    return {key: x for key, x in reference.items() if key != "false_alarms_per_hour"}
 
 
-def with_world(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with the world of `GAME` below them, unless they have a scenario of their own."""
+def with_world(settings: Mapping[str, Any], *, paced: bool = True) -> dict[str, Any]:
+    """Settings with the world of the default task below them, unless they have a scenario. `paced`:
+    whether a spoofer decides as there; those of a pool have a pace of their own."""
     own = own_settings(settings)
-    return own if "scenario" in own else {**get_task(GAME).world_kwargs, **own}
+    if "scenario" in own:
+        return own
+    world = get_task(DEFAULT_TASK).world_kwargs
+    return {**{name: x for name, x in world.items() if paced or name not in PACE}, **own}
 
 
 class DuelStep(NamedTuple):

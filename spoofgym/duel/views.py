@@ -125,7 +125,7 @@ class DetectorCore:
         threads: int | None = None,
         **settings: Any,
     ) -> None:
-        given: dict[str, Any] = {"action": "full-command", **settings}
+        given = {"action": "full-command", **with_world(settings, paced=False)}
         # for spoofers of the pool that know what the victim reports
         duel = make_duel(receivers, threads=threads, monitors=[PastPositions()], **given)
         self.duel = duel
@@ -266,8 +266,7 @@ class SpooferView(PooledView[SpoofCore]):
     pool : list, optional
         Detectors by name, by name and settings, as objects (`PolicyDetector` for a policy with its
         threshold), or paths of ``.onnx`` files with a card; a single one may stand for itself.  By
-        default solution separation, the best detector of the default world, and with a `scenario`
-        of your own `ewma`.
+        default that of ``spoofgym/TightlyCoupled-v0``, and with a `scenario` of your own `ewma`.
     weights : sequence of float, optional
         Probability of each; all alike by default.
     render_mode : {"human", "rgb_array"}, optional

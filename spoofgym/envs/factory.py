@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 from collections.abc import Mapping
 from typing import Any, TypeVar
@@ -22,6 +23,8 @@ from .terms.termination import AtAlarm
 
 S = TypeVar("S", bound=Setup)
 DEFAULT_VICTIM = "tightly-coupled"
+DEFAULT_ID = "spoofgym/TightlyCoupled-v0"
+"""Environment where none is named."""
 NEVER = "never"
 """Detector of an environment that gets its own by a wrapper."""
 VICTIMS: dict[str, type[Setup]] = {
@@ -45,6 +48,15 @@ CORE = {
 def select_victim(name: str) -> type[Setup]:
     check_choice("victim", name, VICTIMS)
     return VICTIMS[name]
+
+
+def find_environment(env_id: str) -> tuple[type[Setup], dict[str, Any]]:
+    """Victim and settings of a registered environment of a spoofer against one detector."""
+    plain = gym.spec(DEFAULT_ID).entry_point
+    known = {name: spec for name, spec in gym.registry.items() if spec.entry_point == plain}
+    check_choice("environment", env_id, known)
+    settings = copy.deepcopy(dict(known[env_id].kwargs))
+    return select_victim(settings.pop("victim", DEFAULT_VICTIM)), settings
 
 
 def list_parameters(setup_type: type[Setup]) -> dict[str, inspect.Parameter]:

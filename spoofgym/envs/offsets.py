@@ -41,7 +41,7 @@ def offsets_action(env: Any, wanted: Mapping[str, float] | ArrayLike) -> FloatAr
     >>> import gymnasium as gym
     >>> import spoofgym
     >>> from spoofgym.envs import offsets_action
-    >>> env = gym.make("spoofgym/Offsets-v0", control="offset")
+    >>> env = gym.make("spoofgym/Zhong2025-v0", control="offset")
     >>> _ = env.reset(seed=1)
     >>> offsets_action(env, {"S05": 15.0})
     array([0.1, 0. , 0. , 0. , 0. , 0. , 0. , 0. ])

@@ -27,32 +27,20 @@ from ..spoofers.base import TARGET, has_heading
 from ..spoofers.build import card_behind
 from ..spoofers.learned import refuse_changes
 from .core import SpoofCore
-from .factory import VICTIMS, composable, list_parameters, make_setup
+from .factory import VICTIMS, composable, find_environment, list_parameters, make_setup
 from .observer import Observer
 from .terms import make_terms
 from .terms.action import ActionTerm, CommandMap, default_action
 from .terms.observation import REPORTED, default_terms
 
-ENV_ID = "spoofgym/TightlyCoupled-v0"  # environment of the headlines
-SETUPS: dict[str, type[Setup]] = {
-    ENV_ID: VICTIMS["tightly-coupled"],
-    "spoofgym/LooselyCoupled-v0": VICTIMS["loosely-coupled"],
-    "spoofgym/Snapshot-v0": VICTIMS["snapshot"],
-    "spoofgym/WheeledRobot-v0": VICTIMS["wheeled-robot"],
-}
-"""Kinds of victims by the environments of the spoofer's side."""
-
-
+SETUPS: dict[str, type[Setup]] = {kind.env_id: kind for kind in VICTIMS.values()}
+"""Kinds of victims by the environments that have their defaults."""
 OF_OFFSETS = ("control", "basis", "channels")
 SHAPING = (
     *("scenario", "attack", *OF_OFFSETS, "timeline", "domain", "target_heading_deg"),
     *("decision_interval_s", "between"),
 )
 """Settings of a world on which it depends what a spoofer observes and how it acts."""
-
-
-def find_env_id(kind: type[Setup]) -> str:
-    return next(name for name, setup in SETUPS.items() if setup is kind)
 
 
 def attach(
@@ -89,7 +77,7 @@ def attach(
     --------
     >>> import gymnasium as gym
     >>> from spoofgym.envs import attach
-    >>> envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=4)
+    >>> envs = gym.make_vec("spoofgym/Zhong2025-v0", num_envs=4)
     >>> observation, info = envs.reset(seed=1)
     >>> attach({"name": "ramp", "rate_mps": 0.2}, envs).act(observation).shape
     (4, 1)
@@ -280,23 +268,31 @@ def suggest_settings(card: SpooferCard, setup: Setup) -> str:
         return str(error)
     if type(made_for) is not type(setup):
         return f"it was trained in {card.env_id}"
+    settings = find_card_settings(card)[1]
     own, here = _settings(made_for), _settings(setup)
     names = [name for name in SHAPING if own.get(name) != here.get(name)]
+    if "scenario" in names:  # with which all else has the victim's defaults, wherever it is given
+        here = {**_settings(make_setup(type(setup), {"detector": "never"})), "scenario": None}
+        names = [name for name in SHAPING if own.get(name) != here.get(name)]
     if {*names} & {*OF_OFFSETS}:  # which make the attack
-        names = [name for name in names if name != "attack" or name in card.env_kwargs]
+        names = [name for name in names if name != "attack" or name in settings]
     usual = {name: each.default for name, each in list_parameters(type(setup)).items()}
-    given = {name: json.dumps(describe({**usual, **card.env_kwargs}[name])) for name in names}
+    given = {name: json.dumps(describe({**usual, **settings}[name])) for name in names}
     options = " ".join(f"--set {name}={shlex.quote(value)}" for name, value in given.items())
     return f"trained in another world, add {options}" if options else "trained for other actions"
 
 
+def find_card_settings(card: SpooferCard) -> tuple[type[Setup], dict[str, Any]]:
+    """Victim of a card, and all settings: its own on top of those of its environment."""
+    try:
+        kind, settings = find_environment(card.env_id)
+    except ValueError as error:
+        raise ValueError(f"card of {card.name!r}: `env_id`: {error}") from error
+    return kind, {**settings, **card.env_kwargs}
+
+
 def setup_of_card(card: SpooferCard) -> Setup:
-    if card.env_id not in SETUPS:
-        raise ValueError(
-            f"card of {card.name!r}: `env_id` must be one of {', '.join(SETUPS)}, got "
-            f"{card.env_id!r}"
-        )
-    kind = SETUPS[card.env_id]
+    kind, settings = find_card_settings(card)
     valid = list_parameters(kind)
     unknown = [name for name in card.env_kwargs if name not in valid]
     if unknown:
@@ -305,7 +301,7 @@ def setup_of_card(card: SpooferCard) -> Setup:
             f"{', '.join(valid)}"
         )
     try:
-        return make_setup(kind, card.env_kwargs)
+        return make_setup(kind, settings)
     except (TypeError, ValueError) as error:
         raise ValueError(f"card of {card.name!r}: `env_kwargs`: {error}") from error
 

@@ -34,7 +34,39 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     clipped.  ``env.unwrapped.observation_names`` names them.  `knowledge` decides which there are:
     ``"blind"``; ``"tracking"``, which adds what is known of the target; ``"oracle"``, which also
     sees the victim's statistics and error; and each of them with ``"+reported"``, which adds the
-    position that the victim itself broadcasts.  With ``"oracle+reported"`` it is
+    position that the victim itself broadcasts.  With ``"oracle+reported"`` it is, in
+    ``spoofgym/TightlyCoupled-v0``,
+
+    =====  ========================================================  ====  ======  =================
+    index  name                                                      unit  scale   knowledge
+    =====  ========================================================  ====  ======  =================
+    0      own_displacement_along_target                             m     40      blind
+    1      own_rate_along_target                                     m/s   0.2667  blind
+    2      time_since_onset                                          s     150     blind
+    3      time_left                                                 s     150     blind
+    4      target_position_north                                     m     10000   tracking
+    5      target_position_east                                      m     10000   tracking
+    6      target_position_down                                      m     10000   tracking
+    7      target_velocity_north                                     m/s   100     tracking
+    8      target_velocity_east                                      m/s   100     tracking
+    9      target_velocity_down                                      m/s   100     tracking
+    10-45  sight_north_slotJJ, sight_east_slotJJ, sight_down_slotJJ  1     1       tracking
+    46-57  visible_slotJJ                                            1     1       tracking
+    58     statistic_ratio                                           1     1       oracle
+    59-70  weight_slotJJ                                             1     1       oracle
+    71     error_north                                               m     40      oracle
+    72     error_east                                                m     40      oracle
+    73     error_down                                                m     40      oracle
+    74     reported_deviation_north                                  m     40      tracking+reported
+    75     reported_deviation_east                                   m     40      tracking+reported
+    76     report_age                                                s     1       tracking+reported
+    =====  ========================================================  ====  ======  =================
+
+    where the rate's scale is the length 40 m in the attack window, and the target's motion and the
+    satellites are left out as far as they stay the same in the window.  Elements after those that
+    are not known move up.  ``"blind+reported"`` has ``reported_position_north`` and ``_east`` in
+    units of 10 km instead of the deviation.  ``spoofgym/Zhong2025-v0``, whose sky and flight are
+    always the same, has
 
     =====  =============================  ====  ======  =================
     index  name                           unit  scale   knowledge
@@ -54,37 +86,6 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     34     reported_deviation_north       m     40      tracking+reported
     35     reported_deviation_east        m     40      tracking+reported
     36     report_age                     s     1       tracking+reported
-    =====  =============================  ====  ======  =================
-
-    where the rate's scale is the length 40 m in the attack window, and the target's motion and the
-    satellites are left out as far as they stay the same in the window.  Elements after those that
-    are not known move up.  ``"blind+reported"`` has ``reported_position_north`` and ``_east`` in
-    units of 10 km instead of the deviation.  ``spoofgym/RandomStart-v0`` has
-
-    =====  =============================  ====  ======  =================
-    index  name                           unit  scale   knowledge
-    =====  =============================  ====  ======  =================
-    0      own_displacement_along_target  m     40      blind
-    1      own_rate_along_target          m/s   0.2667  blind
-    2      time_since_onset               s     150     blind
-    3      time_left                      s     150     blind
-    4      target_direction_north         1     1       blind
-    5      target_direction_east          1     1       blind
-    6      target_position_north          m     10000   tracking
-    7      target_position_east           m     10000   tracking
-    8      target_position_down           m     10000   tracking
-    9      target_velocity_north          m/s   100     tracking
-    10     target_velocity_east           m/s   100     tracking
-    11     target_velocity_down           m/s   100     tracking
-    12-23  statistic_ratio_slotJJ         1     1       oracle
-    24     statistic_ratio                1     1       oracle
-    25-36  weight_slotJJ                  1     1       oracle
-    37     error_north                    m     40      oracle
-    38     error_east                     m     40      oracle
-    39     error_down                     m     40      oracle
-    40     reported_deviation_north       m     40      tracking+reported
-    41     reported_deviation_east        m     40      tracking+reported
-    42     report_age                     s     1       tracking+reported
     =====  =============================  ====  ======  =================
 
     **Reward.** With U the undetected displacement so far [m], c the cost and :math:`\kappa` and L
@@ -301,7 +302,7 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     --------
     >>> import gymnasium as gym
     >>> import spoofgym
-    >>> env = gym.make("spoofgym/TightlyCoupled-v0", detector="snapshot-chi2", knowledge="blind")
+    >>> env = gym.make("spoofgym/TightlyCoupled-v0", knowledge="blind")
     >>> env.unwrapped.observation_names[:2]
     ('own_displacement_along_target', 'own_rate_along_target')
     >>> env.close()
@@ -312,11 +313,12 @@ class SpoofEnv(CoreEnv[SpoofCore]):
 
     Notes
     -----
-    Ids: ``spoofgym/TightlyCoupled-v0``, ``spoofgym/LooselyCoupled-v0``, ``spoofgym/Snapshot-v0``
-    and ``spoofgym/WheeledRobot-v0``, by victim; ``spoofgym/RandomStart-v0`` is the first with a
-    receiver that is switched on at a random time of the flight, and a target direction that is
-    drawn for every episode, and observed; ``spoofgym/Offsets-v0`` is the first with offsets of all
-    satellites for an action, by rates, every 10 s.  Version history: v0, the first.
+    Ids: ``spoofgym/Zhong2025-v0``, ``spoofgym/LooselyCoupled-v0``, ``spoofgym/Snapshot-v0`` and
+    ``spoofgym/WheeledRobot-v0`` have the defaults of this class, by victim.
+    ``spoofgym/TightlyCoupled-v0`` has the settings of task S1 below those that are given: drawn
+    sky, heading and age, a decision every 10 s, and solution separation at 0.2 false alarms an
+    hour; ``spoofgym/Offsets-v0`` is the same with offsets of all satellites for an action, by
+    rates.  Version history: v0, the first.
     """
 
     def __init__(
@@ -360,7 +362,7 @@ class SpoofVectorEnv(CoreVectorEnv[SpoofCore]):
     --------
     >>> import gymnasium as gym
     >>> import spoofgym
-    >>> envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=4, detector="never")
+    >>> envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=4)
     >>> envs.single_action_space
     Box(-1.0, 1.0, (1,), float32)
     >>> envs.close()

@@ -5,7 +5,7 @@ dictionary is filled for a receiver before its episode ends.
 
 >>> from stable_baselines3 import PPO
 >>> from spoofgym.sb3 import SpoofVecEnv
->>> envs = SpoofVecEnv(8, detector="ewma", knowledge="blind", alarm_price=1.0)
+>>> envs = SpoofVecEnv(8, knowledge="blind", alarm_price=1.0)
 >>> model = PPO("MlpPolicy", envs, gamma=1.0, n_steps=300, batch_size=2400, device="cpu")
 >>> envs.close()
 

@@ -64,9 +64,11 @@ class SpoofVecEnv(VecEnv):
     num_envs : int
         Receivers, at least 1.
     env_id : str, optional
-        Id of the environment, for any kind of victim; by default ``spoofgym/TightlyCoupled-v0``.
+        Id of the environment, for any kind of victim; by default ``spoofgym/TightlyCoupled-v0``, or
+        with a `scenario` ``spoofgym/Zhong2025-v0``.
     task : str, optional
-        ``"S1"`` to ``"S3"``, or ``"T1"`` to ``"T6"`` of the first suite, in its place.
+        ``"S1"`` to ``"S3"``, or ``"T1"`` to ``"T6"``, in its place.  A `detector` replaces the
+        task's: the world is still the task's.
     side : {"spoofer", "detector"}
         Who learns.  A detector learns against a pool of spoofers, as in `DetectorView`.
     pool : list, optional

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cached_property, partial
 from typing import TypeVar
 
 import numpy as np
@@ -16,7 +16,7 @@ from ..core.simd import LANES
 from ..detectors import Verdict
 from ..receiver.epoch import Epoch
 from .domain import FloatArray, apply_choices, draw
-from .prefetch import MOST_TOGETHER, PIECE, STOCK, NextEpisodes
+from .prefetch import PIECE, STOCK, NextEpisodes
 from .setup import Setup
 from .simulator import (
     FixedChoices,
@@ -44,6 +44,11 @@ def _warming(setup: Setup, rngs: Rngs) -> Iterator[Simulator]:
         yield simulator
 
 
+def _pool_rngs(rows: Rows) -> list[np.random.Generator]:
+    seeds = (np.random.SeedSequence(POOL_SEED, spawn_key=(k,)) for k in rows.tolist())
+    return [np.random.default_rng(seed) for seed in seeds]
+
+
 class Engine:
     """B receivers under attack, each in its own episode.
 
@@ -69,7 +74,7 @@ class Engine:
         Only so many pasts M, of seeds that are the same for every engine (`POOL_SEED`): each
         episode starts as a copy of the one that its seed picks, satellite biases, domain and
         ``warmup_alarm`` included, and has noise of its own from the onset on.  A past is flown when
-        it is first picked, with others, so that there are at least twice as many afterwards.  The
+        it is first picked, with others that are a little younger, which cost least beside it.  The
         bits are others than without; they are the same for the same M and seed in any batch.  There
         is nothing to `prefetch` then.  An episode of which something is given has a past of its
         own.  For training: 1024 episodes of 32 pasts are worth some 36 in a score.
@@ -197,15 +202,28 @@ class Engine:
             self._pool = self.setup.simulator(len(self._flown), self._run)
         lacking = np.unique(picked[~self._flown[picked]])
         if len(lacking):
-            more = min(int(self._flown.sum()), MOST_TOGETHER) - len(lacking)
-            others = np.setdiff1d(np.flatnonzero(~self._flown), lacking)[: max(more, 0)]
-            rows = np.concatenate([lacking, others])
-            seeds = (np.random.SeedSequence(POOL_SEED, spawn_key=(k,)) for k in rows.tolist())
+            rows = self._fill_lanes(lacking)
             part: Simulator = self.setup.simulator(len(rows), self._run)
-            part.warm_up([np.random.default_rng(seed) for seed in seeds])
+            part.warm_up(_pool_rngs(rows))
             self._pool.copy_rows(rows, part, np.arange(len(rows)))
             self._flown[rows] = True
         return self._pool
+
+    def _fill_lanes(self, lacking: Rows) -> Rows:
+        """Pasts that are to be flown, and for the rest of their lanes the next younger ones."""
+        oldest_first = np.argsort(-self._pool_ages, kind="stable")
+        rank = np.argsort(oldest_first)
+        waiting = oldest_first[~self._flown[oldest_first]]
+        younger = waiting[(rank[waiting] > rank[lacking].max()) | (len(lacking) > LANES)]
+        others = younger[~np.isin(younger, lacking)][: -len(lacking) % LANES]
+        rows = np.concatenate([lacking, others])
+        return np.asarray(rows[np.argsort(rank[rows])])
+
+    @cached_property
+    def _pool_ages(self) -> NDArray[np.int64]:
+        """(M,) of all pasts at their onset [epochs]."""
+        keys = domain_keys(episode_seeds(_pool_rngs(np.arange(len(self._flown)))))
+        return draw(self.setup.bounds, keys).age
 
     def predict(self, command: FloatArray | None) -> Epoch:
         return self.simulator.predict(command)

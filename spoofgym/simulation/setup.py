@@ -147,7 +147,7 @@ class Setup(ABC):
 
     kind: ClassVar[str]
     whose: ClassVar[str]  # the victim with its article, for messages
-    env_id: ClassVar[str] = ""  # environment of this victim; "" for none
+    env_id: ClassVar[str] = ""  # environment of this victim at its defaults; "" for none
     of_attack: ClassVar[frozenset[str]] = frozenset(  # settings that a clean run does not depend on
         {
             *("detector", "attack", "target_heading_deg", "rate_limit_mps"),

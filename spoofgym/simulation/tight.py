@@ -63,7 +63,7 @@ class TightlyCoupledSetup(Setup):
     """
 
     kind: ClassVar[str] = "tightly-coupled"
-    env_id: ClassVar[str] = "spoofgym/TightlyCoupled-v0"
+    env_id: ClassVar[str] = "spoofgym/Zhong2025-v0"
     whose: ClassVar[str] = "a tightly coupled receiver"
     has: ClassVar[frozenset[str]] = Setup.has | {"weights"}
     domain_names: ClassVar[frozenset[str]] = frozenset(vars(Domain()))

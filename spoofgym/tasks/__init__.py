@@ -28,6 +28,7 @@ __all__ = [
     "ALARM_PRICE",
     "ANTENNA_PARTS",
     "CANDIDATES",
+    "DEFAULT_TASK",
     "DETECTOR_TASKS",
     "EVENTS",
     "NEAR_ALARM_S",
@@ -44,6 +45,9 @@ __all__ = [
     "get_task",
 ]
 
+DEFAULT_TASK = "S1"
+"""Whose world and detector everything has that names no other: the environment by its plain id, the
+benchmark, the duel and the command line."""
 TASKS: dict[str, Task] = {**v2.TASKS, **v1.TASKS}
 """Tasks for spoofers by their keys, those of the youngest suite first."""
 DETECTOR_TASKS: dict[str, DetectorTask] = {**v2.DETECTOR_TASKS, **v1.DETECTOR_TASKS}

@@ -7,7 +7,7 @@ from .v1 import EWMA
 NOMINAL = {"thresholds": "nominal"}  # thresholds of the papers, as their own environments have them
 PAPERS: dict[str, tuple[str, dict[str, Any]]] = {
     "ke2022": (
-        "spoofgym/TightlyCoupled-v0",
+        "spoofgym/Zhong2025-v0",
         {
             "scenario": "ke2022",
             "attack": "paper-ideal",
@@ -33,7 +33,7 @@ PAPERS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "wu2024": ("spoofgym/Snapshot-v0", {"detector": {"name": "srv-raim", **NOMINAL}}),
     "zhong2025": (
-        "spoofgym/TightlyCoupled-v0",
+        "spoofgym/Zhong2025-v0",
         {"scenario": "zhong2025", "attack": "paper-ideal", "detector": {**EWMA, **NOMINAL}},
     ),
 }

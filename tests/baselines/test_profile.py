@@ -19,6 +19,7 @@ from spoofgym.policies import SpooferCard
 from spoofgym.spoofers import Profile, make_spoofer
 
 WORLD = {
+    "scenario": "zhong2025",
     "timeline": {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0},
     # fast enough to be noticed within the short window
     "attack": {"name": "false-position", "acceleration_limit_mps2": 0.5},

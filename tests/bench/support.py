@@ -86,7 +86,7 @@ def make_card(
     return SpooferCard(
         name=name,
         kind=kind,
-        env_id="spoofgym/TightlyCoupled-v0",
+        env_id="spoofgym/Zhong2025-v0",
         env_kwargs={**world, **suite.settings, **(env or {})},
         observation=observation,
         action=fields["action"],

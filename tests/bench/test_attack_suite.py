@@ -51,7 +51,7 @@ def test_every_member_fits_every_victim_over_its_whole_range(env):
 
 
 def test_the_digest_follows_the_members_and_profiles_are_smooth_and_within_the_limits():
-    setup = make_setup(VICTIMS["spoofgym/TightlyCoupled-v0"].setup, {"detector": "never"})
+    setup = make_setup(VICTIMS["spoofgym/Zhong2025-v0"].setup, {"detector": "never"})
     context = spoofer_context(setup)
     members = list_suite_attacks(context)
     assert suite_digest(members) == suite_digest(list_suite_attacks(context))

@@ -73,7 +73,7 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
 
 
 def test_killed_calibrations_and_hold_outs_go_on(tmp_path, monkeypatch):
-    setup, specs = World.of(timeline=SHORT).setup, ["snapshot-chi2", "cusum"]
+    setup, specs = World.of(scenario="zhong2025", timeline=SHORT).setup, ["snapshot-chi2", "cusum"]
     asked = {"false_alarms_per_hour": 20.0, "runs": 40, "threads": 1}
     whole = calibration.calibrate_detectors(setup, specs, **asked, folder=tmp_path / "whole")
     counted = holdouts.hold_out(setup, whole, specs, **asked)

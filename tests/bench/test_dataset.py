@@ -24,7 +24,9 @@ TEST = {"name": "snapshot-chi2", "thresholds": "nominal"}
 
 def plan(world=None, **changes):
     given = {"runs": SIZES, "shard": 2, "terms": TERMS, "length_m": 20.0, **changes}
-    return Plan(World.of(**{"timeline": SHORT, **(world or {})}).setup, **given)
+    return Plan(
+        World.of(**{"scenario": "zhong2025", "timeline": SHORT, **(world or {})}).setup, **given
+    )
 
 
 @pytest.fixture(scope="module")

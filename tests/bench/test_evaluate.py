@@ -142,7 +142,7 @@ def test_what_is_no_spoofer_is_refused(judge, policy, settings, message):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({}, "needs a task, or a `detector` and its world"),
+        ({"env": "T3"}, "unknown environment 'T3'"),
         ({"task": "T3", "scenario": "trolley"}, "`scenario` can't be given with task"),
         ({**WORLD, "runs": 1}, "`runs` must be a whole number of at least 2, got 1"),
         ({**WORLD, "fit_runs": 58}, "`fit_runs` must be .* at least 59, got 58"),

@@ -102,7 +102,7 @@ def test_a_pace_that_a_campaign_or_an_environment_would_lose_is_refused():
             specify_spoofer(each)
     assert specify_spoofer(Mirror(**LATE)).spec["between"] == "linear"
     often, late = (
-        gym.make("spoofgym/TightlyCoupled-v0", knowledge="oracle", **pace) for pace in ({}, LATE)
+        gym.make("spoofgym/Zhong2025-v0", knowledge="oracle", **pace) for pace in ({}, LATE)
     )
     with pytest.raises(ValueError, match=r"make it with decision_interval_s=2\.5, between='lin"):
         attach(Mirror(**LATE), often)

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from spoofgym.bench.experiments import suite as standard
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.players import DEFAULT_DETECTORS, add_tuned_setting
-from spoofgym.bench.runs.world import World
+from spoofgym.bench.runs.world import PLAIN_ID, World
 from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.cli import app
@@ -18,7 +18,7 @@ from spoofgym.cli.suites import standard_suite
 from spoofgym.core.settings import compute_digest
 from spoofgym.detectors import DETECTORS, Shewhart
 from spoofgym.simulation.setup import SPLITS, seed_sequences
-from spoofgym.tasks import get_task
+from spoofgym.tasks import DEFAULT_TASK, get_task
 
 from .support import small_suite
 
@@ -96,11 +96,13 @@ def test_the_digest_follows_everything_that_results_depend_on():
 
 def test_a_campaign_has_its_world_and_its_runs_and_plays_the_clean_twin_first():
     assert World.of("T3") == World(settings=get_task("T3").world_kwargs)
-    named = World.of(timeline=TIMES, between="hold", scenario=None)
-    assert named == World.of(timeline=TIMES, settings={"between": "hold"})
+    named = World.of(env=PLAIN_ID, timeline=TIMES, between="hold", scenario=None)
+    assert named == World.of(env=PLAIN_ID, timeline=TIMES, settings={"between": "hold"})
     assert named.copy_with(between="ramp").settings == {"timeline": TIMES, "between": "ramp"}
+    assert World.of().config == World.of(DEFAULT_TASK).config
+    assert World.of(scenario="trolley").env == PLAIN_ID  # all else has the class's defaults
     suite = Suite(timeline=TIMES, entropy=3, detectors=["never"], spoofers=["none"])
-    world = World.of(timeline=TIMES)
+    world = World.of(env=PLAIN_ID, timeline=TIMES)
     assert {name: suite.config[name] for name in world.config} == world.config
     one, few = world.generators(3, "training", 3, first=2), suite.generators("training", 3)
     assert one[0].random() == few[2].random()
@@ -114,7 +116,7 @@ def test_a_campaign_has_its_world_and_its_runs_and_plays_the_clean_twin_first():
         (Suite, {"detectors": ()}, "at least one detector"),
         (Suite, {"detectors": ("ewma", "ewma")}, "listed twice: ewma"),
         (Tuning, {"runs": 58}, r"`runs` must be at least 59 for a budget of 0.05: .* 58"),
-        (World.of, {"env": "T3"}, "unknown environment of the benchmark 'T3'"),
+        (World.of, {"env": "T3"}, "unknown environment 'T3'"),
         (partial(World.of, "T3"), {"env": "x", "scenario": "y"}, "`env`, `scenario` can't be"),
         (World.of, {"attack": "quiet", "settings": {"attack": "quiet"}}, "given by name, too"),
     ],
@@ -130,7 +132,7 @@ class Mine(Shewhart):
 
 def test_the_suite_plays_in_the_world_of_the_task_at_one_rate_and_the_controls_with_it():
     tuned = [add_tuned_setting(name) for name in standard.SPOOFERS]
-    suite, task = standard_suite(None, {"spoofers": tuned}), get_task(standard.TASK)
+    suite, task = standard_suite(None, {"spoofers": tuned}), get_task(DEFAULT_TASK)
     assert {name: suite.world.settings[name] for name in task.world_kwargs} == task.world_kwargs
     assert suite.alert_limit_m == (task.alert_limit_m or Suite.alert_limit_m)
     specs = [entry.spec for entry in suite.detector_players]

@@ -24,7 +24,7 @@ LOOSE, SNAPSHOT, ROBOT = SMALL = (
     "spoofgym/Snapshot-v0",
     "spoofgym/WheeledRobot-v0",
 )
-TIGHT = "spoofgym/TightlyCoupled-v0"
+TIGHT = "spoofgym/Zhong2025-v0"
 PUSH = {"name": "ramp", "rate_mps": 0.5}
 
 

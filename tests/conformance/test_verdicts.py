@@ -95,11 +95,11 @@ class Wrong(Detector):
         return FAULTS[self.fault][0](verdict) if wrong else verdict
 
 
-def single(name="spoofgym/TightlyCoupled-v0", **given):
+def single(name="spoofgym/Zhong2025-v0", **given):
     return gym.make(name, timeline=timeline(INTERVALS.get(name, 0.5)), **given)
 
 
-def several(name="spoofgym/TightlyCoupled-v0", **given):
+def several(name="spoofgym/Zhong2025-v0", **given):
     mode = {"vectorization_mode": "vector_entry_point"}
     return gym.make_vec(name, B, timeline=timeline(INTERVALS.get(name, 0.5)), **mode, **given)
 

@@ -146,4 +146,4 @@ def test_files(tmp_path):
 @pytest.mark.usefixtures("default_rate")
 def test_a_test_with_a_drift_term_that_hardly_alarms_is_marked():
     with pytest.warns(UserWarning, match="cusum hardly ever alarms at an attack here: at 0.2 fal"):
-        gym.make("spoofgym/TightlyCoupled-v0", detector="cusum").close()
+        gym.make("spoofgym/Zhong2025-v0", detector="cusum").close()

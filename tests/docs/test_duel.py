@@ -35,9 +35,9 @@ def test_the_blocks_run_in_their_order(page):
 def test_a_policy_is_saved_as_the_page_says(page, tmp_path, monkeypatch):
     calls = []
 
-    def few(policy, runs, timeline=None):
+    def few(policy, runs, **game):
         calls.append(runs)
-        return calibrate(policy, runs=19, timeline=page.short)
+        return calibrate(policy, runs=19, **page.fast)
 
     calibrate = duel_v0.calibrate_policy
     monkeypatch.setattr(duel_v0, "calibrate_policy", few)

@@ -93,7 +93,7 @@ def test_table_and_rivals_are_those_of_the_full_run(full):
 def test_the_first_output_is_typical_of_its_push():
     """As the README says of the seeds 0 to 99, the first block's among them."""
     settings = {"detector": "ewma", "knowledge": "tracking"}
-    envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=100, **settings)
+    envs = gym.make_vec("spoofgym/Zhong2025-v0", num_envs=100, **settings)
     envs.reset(seed=0)
     reached, alarmed = np.full(100, np.nan), np.zeros(100, dtype=bool)
     while np.isnan(reached).any():

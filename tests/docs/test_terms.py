@@ -40,7 +40,7 @@ def test_the_keys_of_the_information_are_those_of_the_table():
         for key, unit, when in rows
     }
     env = gym.make(
-        "spoofgym/TightlyCoupled-v0",
+        "spoofgym/Zhong2025-v0",
         timeline={"warmup_s": 6, "live_s": 2, "attack_s": 5, "time_to_alert_s": 1},
         attack={"name": "false-position", "capture": {}},
         detector={"name": "ewma", "thresholds": "nominal"},

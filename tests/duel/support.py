@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 
 from spoofgym import duel_v0
+from spoofgym.tasks import get_task
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
 ONE_SKY = {"turn_on": "drawn"}
-PAPERS = {"scenario": "zhong2025", "domain": None}
+GAME = get_task("T3").world_kwargs
+PAPERS = {"scenario": "zhong2025", "receiver": "paper", "domain": None}
 """The world of the papers, in which a receiver assumes the same however long an episode is."""
-BRIEF = {"timeline": SHORT, "domain": ONE_SKY}
-"""Short, and in the default world with one sky, which is made faster than with all of them."""
+BRIEF = {**GAME, "timeline": SHORT, "domain": ONE_SKY}
+"""Short, and in the world of T3 with one sky, which is made faster than with all of them."""
 SATELLITES = 12
 QUIET = np.r_[-1.0, np.ones(SATELLITES)]
 """Statistic 0, all weights 1."""

@@ -24,7 +24,8 @@ BUDGET = AttackBudget(runs=6, sift_runs=3, values=4, kept=3, blind=SEARCH)
 
 
 def game(**settings):
-    return Game(**{"limit_m": 5.0, "runs": 6, "timeline": SHORT, **settings})
+    small = {"limit_m": 5.0, "runs": 6, "scenario": "zhong2025", "timeline": SHORT}
+    return Game(**{**small, **settings})
 
 
 def mix_of(side, *specs):

@@ -5,11 +5,11 @@ import pytest
 
 from spoofgym import duel_v0
 
-from .support import ALARM, BRIEF, FORMS, QUIET, SHORT, aec
+from .support import ALARM, BRIEF, FORMS, QUIET, aec
 
 AGES_S = (12.0, 40.0)
 LATE = {
-    "timeline": SHORT,
+    **BRIEF,
     "domain": {"turn_on": "drawn", "age_s": AGES_S},
     "threshold": 1.0,
     "attack_probability": 1.0,
@@ -124,7 +124,7 @@ def test_a_threshold_is_of_all_epochs_that_are_judged():
         average = np.abs(observation[:, 24:36]).max(axis=1, keepdims=True)
         return np.clip(average / 15.0 - 1.0, -1.0, 1.0)
 
-    world = {"timeline": SHORT, "domain": LATE["domain"], "weighs": False}
+    world = {**BRIEF, "domain": LATE["domain"], "weighs": False}
     request = {"false_alarm": 0.2, "runs": 24, **world}
     found = duel_v0.calibrate_policy(policy, onset="within", **request)
     late = duel_v0.calibrate_policy(policy, **request)

@@ -37,7 +37,9 @@ RUNS = 6
 
 
 def game(**settings):
-    return Game(**{"limit_m": 5.0, "runs": RUNS, "timeline": SHORT, **settings})
+    return Game(
+        **{"limit_m": 5.0, "runs": RUNS, "scenario": "zhong2025", "timeline": SHORT, **settings}
+    )
 
 
 @pytest.fixture(scope="module")

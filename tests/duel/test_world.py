@@ -6,32 +6,37 @@ import gymnasium as gym
 import pytest
 
 from spoofgym import duel_v0
-from spoofgym.duel.duel import make_duel, with_world
+from spoofgym.duel.duel import PACE, make_duel, with_world
 from spoofgym.duel.learner import LearnersSide
+from spoofgym.duel.opponents import label_opponent
 from spoofgym.envs import SpoofEnv
-from spoofgym.tasks import get_task
+from spoofgym.tasks import DEFAULT_TASK, get_task
 
-from .support import SHORT
+from .support import ONE_SKY, SHORT
 
-GAME, PAPERS = get_task("T3").world_kwargs, "zhong2025"
-NAMED = "spoofgym/TightlyCoupled-v0"
+TASK = get_task(DEFAULT_TASK)
+GAME, PAPERS = TASK.world_kwargs, "zhong2025"
+UNPACED = {key: x for key, x in GAME.items() if key not in PACE}
+REFERENCE = {key: x for key, x in TASK.detector.items() if key != "false_alarms_per_hour"}
+SMALL = {"timeline": {**SHORT, "attack_s": 20.0}, "domain": ONE_SKY}  # whole decisions
+NAMED = "spoofgym/Zhong2025-v0"
 
 
 @pytest.mark.parametrize(
     ("given", "same", "met"),
     [
-        ({}, GAME, "solution-separation"),  # the best detector of the game
+        ({}, GAME, REFERENCE),
         ({"scenario": PAPERS}, {}, "ewma"),
         (
             {"receiver": "paper", "domain": None},
-            {"scenario": "trolley", "receiver": "paper"},
-            "solution-separation",
+            {**GAME, "receiver": "paper", "domain": None},
+            REFERENCE,
         ),
     ],
 )
-def test_all_forms_are_played_in_the_world_that_is_given_or_in_that_of_t3(given, same, met):
-    own = {"timeline": SHORT, **given}
-    expected = SpoofEnv(**same, timeline=SHORT).core.setup.world_settings()
+def test_all_forms_are_played_in_the_world_that_is_given_or_in_the_default_one(given, same, met):
+    own = {**SMALL, **given}
+    expected = SpoofEnv(**{**same, **own}).core.setup.world_settings()
     for setup in (
         make_duel(1, **own).setup,
         duel_v0.SpooferView(**own).core.setup,
@@ -39,7 +44,7 @@ def test_all_forms_are_played_in_the_world_that_is_given_or_in_that_of_t3(given,
         gym.make("spoofgym/SpooferView-v0", **own).unwrapped.core.setup,
     ):
         assert setup.world_settings() == expected
-    assert duel_v0.SpooferVectorView(2, **own).opponents == [met, met]
+    assert duel_v0.SpooferVectorView(2, **own).opponents == [label_opponent(met)] * 2
     assert side_of("spoofgym/SpooferView-v0", **given).pool == met
 
 
@@ -50,11 +55,11 @@ def side_of(env_id=None, task=None, side="spoofer", pool=None, weights=None, **s
 @pytest.mark.parametrize(
     ("asked", "expected"),
     [
-        ({}, {}),
+        ({}, TASK.env_kwargs),
         ({"pool": ["ewma"]}, GAME),
         ({"pool": ["ewma"], "scenario": None}, GAME),
-        ({"side": "detector"}, GAME),
-        ({"env_id": "spoofgym/DetectorView-v0"}, GAME),
+        ({"side": "detector"}, UNPACED),
+        ({"env_id": "spoofgym/DetectorView-v0"}, UNPACED),
         ({"env_id": NAMED, "pool": ["ewma"]}, {"scenario": PAPERS}),
         ({"env_id": NAMED, "pool": ["ewma"], "scenario": None}, {"scenario": PAPERS}),
         ({"pool": ["ewma"], "scenario": "trolley"}, {"scenario": "trolley"}),

@@ -11,10 +11,11 @@ import pytest
 
 from spoofgym import duel_v0
 from spoofgym.detectors import Detector, DetectorContext, Verdict
+from spoofgym.envs.factory import DEFAULT_ID
 from spoofgym.receiver.epoch import Epoch
-from spoofgym.tasks import TASKS
+from spoofgym.tasks import DEFAULT_TASK, TASKS
 
-from ..duel.support import ONE_SKY
+from ..duel.support import GAME, ONE_SKY
 from .support import ID, SMALL, VICTIMS
 
 IDS = sorted(name for name in gym.registry if name.startswith("spoofgym/"))
@@ -31,14 +32,18 @@ AGED = {**DRAWN, "decision_interval_s": 2.0, "domain": {**FEW_WORLDS, "age_s": [
 SETTINGS: dict[str, dict[str, Any]] = {
     **{f"spoofgym/BenchD{k}-v1": DRAWN for k in range(1, 5)},
     **{f"spoofgym/Bench{side}{k}-v2": AGED for side in "SD" for k in range(1, 4)},
-    "spoofgym/DetectorView-v0": {"timeline": SHORT, "domain": ONE_SKY},
-    "spoofgym/SpooferView-v0": {"timeline": SHORT, "domain": ONE_SKY},
+    "spoofgym/DetectorView-v0": {**GAME, "timeline": SHORT, "domain": ONE_SKY},
+    "spoofgym/SpooferView-v0": {**GAME, "timeline": SHORT, "domain": ONE_SKY},
+    "spoofgym/TightlyCoupled-v0": AGED,
     "spoofgym/BenchT4-v1": {
         "timeline": {**SHORT, "warmup_s": 10.0, "attack_s": 60.0},
         "scenario": "trolley-tactical",
     },
     "spoofgym/BenchT5-v1": {"timeline": SHORT, "domain": FEW_WORLDS},
-    "spoofgym/Offsets-v0": {"timeline": SHORT, "decision_interval_s": 1.0},
+    "spoofgym/Offsets-v0": {
+        **{"timeline": SHORT, "decision_interval_s": 1.0, "detector": "ewma"},
+        **{"scenario": "zhong2025", "receiver": "paper", "domain": None},
+    },
     "spoofgym/LooselyCoupled-v0": {
         "timeline": {"warmup_s": 1.0, "live_s": 1.0, "attack_s": 2.4, "time_to_alert_s": 0.5},
         "detector": {"name": "windowed-chi2", "window": 8},
@@ -73,6 +78,7 @@ for task in TASKS.values():
     met = [{k: x for k, x in spec.items() if not k.endswith("hour")} for spec in task.detectors]
     plain = [{**spec, "thresholds": "nominal"} for k, spec in enumerate(met) if spec not in met[:k]]
     NOMINAL[task.env_id] = {"pool": plain} if task.pooled else {"detector": plain[0]}
+NOMINAL[DEFAULT_ID] = NOMINAL[TASKS[DEFAULT_TASK].env_id]
 
 
 def short(name: str, **settings: Any) -> dict[str, Any]:

@@ -15,12 +15,12 @@ from spoofgym.detectors import Detector, DetectorContext, Verdict
 from spoofgym.envs import SpoofVectorEnv
 from spoofgym.receiver.epoch import Epoch
 
-ID = "spoofgym/TightlyCoupled-v0"
+ID = "spoofgym/Zhong2025-v0"
 LIVE, STEPS, HOLD = 20, 30, 10
 """Epochs of the monitored warm-up, the commands and the time to alert of a short episode."""
-VICTIMS = {"TightlyCoupled": 0.5, "LooselyCoupled": 0.1, "Snapshot": 1.0, "WheeledRobot": 1.0}
+VICTIMS = {"Zhong2025": 0.5, "LooselyCoupled": 0.1, "Snapshot": 1.0, "WheeledRobot": 1.0}
 """Every victim, and the interval of its epochs [s]."""
-SMALL = tuple(kind for kind in VICTIMS if kind != "TightlyCoupled")
+SMALL = tuple(kind for kind in VICTIMS if kind != "Zhong2025")
 
 
 def timeline_of(kind: str) -> dict[str, float]:
@@ -28,7 +28,7 @@ def timeline_of(kind: str) -> dict[str, float]:
     return {name: round(count * VICTIMS[kind], 6) for name, count in epochs.items()}
 
 
-SHORT = timeline_of("TightlyCoupled")
+SHORT = timeline_of("Zhong2025")
 
 
 def settings_of(kind: str, **settings: Any) -> dict[str, Any]:

@@ -37,8 +37,8 @@ def play(kind, detector, **kwargs):
     ("kind", "at"),
     [
         # all is taken back, a part, and after the last command; then it is too late
-        *(("TightlyCoupled", at) for at in (1, HOLD, HOLD + 1, HOLD + 2, STEPS, STEPS + 1)),
-        *(("TightlyCoupled", STEPS + at) for at in (HOLD, HOLD + 1)),
+        *(("Zhong2025", at) for at in (1, HOLD, HOLD + 1, HOLD + 2, STEPS, STEPS + 1)),
+        *(("Zhong2025", STEPS + at) for at in (HOLD, HOLD + 1)),
         *((kind, at) for kind in SMALL for at in (20, 44)),
     ],
 )
@@ -97,7 +97,7 @@ class AlarmOfMoved(AlarmAt):
 
 def play_twins(detector, **settings):
     push = {"name": "false-position", "acceleration_limit_mps2": 50.0, "rate_limit_mps": 500.0}
-    env = victim("TightlyCoupled", detector=detector, twin=True, attack=push, **settings)
+    env = victim("Zhong2025", detector=detector, twin=True, attack=push, **settings)
     env.reset(seed=1)
     infos, total, over = [], 0.0, False
     while not over:
@@ -132,7 +132,7 @@ def test_a_twins_alarm_is_remembered_and_without_a_twin_every_first_alarm_costs(
     infos, _ = play_twins(AlarmAt(LIVE + 5), end_at_alarm=False)
     said = [info["twin_alarm"] for info in infos]
     assert said == [False] * 4 + [True] * (STEPS - 4)
-    env = victim("TightlyCoupled", detector=AlarmAt(LIVE + 5))
+    env = victim("Zhong2025", detector=AlarmAt(LIVE + 5))
     env.reset(seed=1)
     infos = [env.step(np.zeros(2))[4] for _ in range(5)]
     assert [info["cost"] for info in infos] == [0.0] * 4 + [1.0]

@@ -65,7 +65,7 @@ def test_a_limit_of_steps_counts_decisions():
 def test_between_decisions_a_rate_moves_along_a_line(kind):
     attack = {"attack": {"name": "false-position", "control": "rate"}}
     settings = {"decision_interval_s": round(3.0 * VICTIMS[kind], 6), "between": "linear"}
-    settings |= attack if kind == "TightlyCoupled" else {}
+    settings |= attack if kind == "Zhong2025" else {}
     env = victim(kind, detector="never", **settings).unwrapped
     env.reset(seed=5)
     simulator, moved = env.core.engine.simulator, []

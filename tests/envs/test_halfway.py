@@ -17,8 +17,8 @@ from spoofgym.simulation.tight import TightlyCoupledSimulator
 from .players import make
 
 TIMELINE = {"warmup_s": 8.0, "live_s": 3.0, "attack_s": 6.0, "time_to_alert_s": 1.0}
-BRIEF = {"timeline": TIMELINE, "domain": {"turn_on": "drawn"}}
-TIGHT = "spoofgym/TightlyCoupled-v0"
+BRIEF = {"scenario": "trolley", "timeline": TIMELINE, "domain": {"turn_on": "drawn"}}
+TIGHT = "spoofgym/Zhong2025-v0"
 FORMS = {
     "single": lambda: make(TIGHT, "single", timeline=TIMELINE).unwrapped,
     "small": lambda: make("spoofgym/Snapshot-v0", "single").unwrapped,

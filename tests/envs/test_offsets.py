@@ -10,15 +10,20 @@ from spoofgym.attacks import FalsePosition
 from spoofgym.envs import attach, offsets_action
 from spoofgym.simulation import TightlyCoupledSetup
 
-ID, PLAIN = "spoofgym/Offsets-v0", "spoofgym/TightlyCoupled-v0"
+PLAIN = "spoofgym/Zhong2025-v0"
 TIMES = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 40.0, "time_to_alert_s": 5.0}
 QUIET = {"timeline": TIMES, "detector": "never"}
+OFFSETS = {
+    **{"control": "rate", "basis": "satellites"},
+    **{"decision_interval_s": 10.0, "between": "linear"},
+}
+"""What `spoofgym/Offsets-v0` has, here in a smaller world."""
 SKIES = {"start_s": [0.0, 60.0], "turned_deg": [0.0, 360.0], "worlds": 2}
 LIMITS = {"name": "offsets", "acceleration_limit_mps2": 1e3}
 
 
 def make(**settings):
-    return gym.make(ID, **{**QUIET, **settings})
+    return gym.make(PLAIN, **{**QUIET, **OFFSETS, **settings})
 
 
 def fly(env, actions, seed=3):
@@ -29,6 +34,10 @@ def fly(env, actions, seed=3):
 
 
 def test_the_id_decides_every_10_s_by_rates_of_satellites():
+    own, default = (
+        gym.spec(f"spoofgym/{name}-v0").kwargs for name in ("Offsets", "TightlyCoupled")
+    )
+    assert own == {**default, **OFFSETS}
     env = make().unwrapped
     assert env.action_names == tuple(f"slot{s:02d}_rate" for s in range(8))
     assert env.core.episode_steps == 4
@@ -93,7 +102,7 @@ def test_a_scripted_spoofer_pushes_along_its_heading_with_some_satellites_left_a
 
 def test_where_skies_differ_masks_and_captured_channels_are_observed():
     settings = {"scenario": "trolley", "domain": SKIES, "channels": "5 drawn", **QUIET}
-    envs = gym.make_vec(ID, num_envs=4, **settings)
+    envs = gym.make_vec(PLAIN, num_envs=4, **{**OFFSETS, **settings})
     seen, info = envs.reset(seed=2)
     names = envs.unwrapped.observation_names
     masks = seen[:, [names.index(f"counts_slot{s:02d}") for s in range(5)]]

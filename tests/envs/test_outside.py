@@ -85,7 +85,7 @@ class TenLines(LooksAtEpochs):
 @pytest.mark.parametrize("epochs", [1, 5])
 def test_an_ordinary_wrapper_sees_every_epoch_once(epochs):
     interval_s = 0.5 * epochs if epochs > 1 else None
-    env = victim("TightlyCoupled", detector="never", decision_interval_s=interval_s)
+    env = victim("Zhong2025", detector="never", decision_interval_s=interval_s)
     env = TenLines(wrappers.EpochInfo(env))
     _, info = env.reset(seed=1)
     times, counts, over = [e.time for e in info["epochs"]], [], False

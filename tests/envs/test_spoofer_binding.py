@@ -53,7 +53,7 @@ def test_it_plays_environments_of_every_form(policy):
     assert not hasattr(ramp, "memory")
     assert attached.act(envs.reset(seed=0)[0]).shape == (2, len(envs.action_names))
     sb3 = pytest.importorskip("spoofgym.sb3")
-    envs = sb3.SpoofVecEnv(3, **ENV, **FULL, knowledge="blind")
+    envs = sb3.SpoofVecEnv(3, scenario="zhong2025", **ENV, **FULL, knowledge="blind")
     assert attach(policy, envs).act(envs.reset()).shape == (3, 2)
     envs.close()
 
@@ -139,7 +139,10 @@ def test_other_scales_and_what_is_no_environment_of_ours_are_refused(policy):
             attach(policy, env)
     card = SpooferCard.load(Path(policy).with_suffix(".json"))
     for changes, message in (
-        ({"env_id": "CartPole-v1"}, "`env_id` must be one of spoofgym/.*got 'Ca"),
+        (
+            {"env_id": "CartPole-v1"},
+            "`env_id`: unknown environment 'CartPole-v1'; valid: spoofgym/",
+        ),
         ({"env_kwargs": {"scenery": "x"}}, "`env_kwargs` has 'scenery'; valid:"),
         ({"env_kwargs": {"detector": "emwa"}}, "`env_kwargs`: unknown detector 'emwa'; valid:"),
         ({"env_kwargs": {"timeline": {"attack_s": "x"}}}, "`env_kwargs`: "),

@@ -43,7 +43,7 @@ def calls_of(work):
 def test_a_step_takes_few_calls():
     """Of the single environment, in its steady state, without a defence."""
     for watch, most in ((None, MOST_CALLS), ("ewma", np.inf)):
-        env = victim("TightlyCoupled", detector="never", watch=watch).unwrapped
+        env = victim("Zhong2025", detector="never", watch=watch).unwrapped
         env.reset(seed=1)
         action = np.zeros(env.action_space.shape, dtype=np.float32)
         for _ in range(3):  # compiles, and makes what is made once

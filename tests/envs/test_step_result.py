@@ -19,7 +19,7 @@ from spoofgym.envs.terms.reward import (
 from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement
 from spoofgym.simulation import TightlyCoupledSetup
 
-ID = "spoofgym/TightlyCoupled-v0"
+ID = "spoofgym/Zhong2025-v0"
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 TERMS = [AlarmPenalty(0.7), DisplacementGain(0.3), Retraction(1.7), AlarmedEpochs(0.1)]
 NERVOUS = {"name": "ewma", "false_alarm": 0.1}

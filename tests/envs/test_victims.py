@@ -42,7 +42,7 @@ def test_actions_along_and_across_the_target_are_those_of_the_turned_axes(kind):
     heading, kwargs = np.radians(30.0), {"detector": "never", "target_heading_deg": 30.0}
     axes = victim(kind, **kwargs)
     both = victim(kind, **kwargs, action=["along-target", "across-target"])
-    word = "acceleration" if kind == "TightlyCoupled" else "rate"
+    word = "acceleration" if kind == "Zhong2025" else "rate"
     assert both.unwrapped.action_names == (f"along_target_{word}", f"across_target_{word}")
     seen = [env.reset(seed=2)[0] for env in (both, axes)]
     for along, across in np.random.default_rng(0).uniform(-0.6, 0.6, (20, 2)):

@@ -111,7 +111,7 @@ def test_a_wrapper_of_another_form_names_its_twin(name):
         getattr(vector_wrappers, name)(3, *ONES[name])
 
 
-@pytest.mark.parametrize("kind", ["TightlyCoupled", "WheeledRobot"])
+@pytest.mark.parametrize("kind", ["Zhong2025", "WheeledRobot"])
 def test_statistic_and_threshold_of_the_loudest_channel_are_in_the_information(kind):
     env, envs = victim(kind), victims(kind, 2)
     infos = [env.reset(seed=5)[1]], [envs.reset(seed=5)[1]]
@@ -138,7 +138,10 @@ def test_the_spec_of_a_wrapped_environment_makes_it_again():
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     assert type(again.unwrapped.core.setup.detector).__name__ == "SnapshotChi2"
     assert_same(transitions(env)[0], transitions(again)[0])
-    for other in (gym.make("spoofgym/SpooferView-v0", timeline=SHORT), gym.make("CartPole-v1")):
+    for other in (
+        gym.make("spoofgym/SpooferView-v0", scenario="zhong2025", timeline=SHORT),
+        gym.make("CartPole-v1"),
+    ):
         with pytest.raises(TypeError, match="`env` must be a SpoofEnv, a SpoofVectorEnv or a Sp"):
             wrappers.WatchWrapper(other, ["cusum"])
 
@@ -171,10 +174,10 @@ def test_the_detector_of_an_id_is_replaced(make, detector, rate, found):
     ("env", "detector", "rate", "message"),
     [
         ("LooselyCoupled", "ewma", None, "^Ewma measures satellites, but the receiver measures po"),
-        ("TightlyCoupled", "rio", 0.3, "^Rio needs auxiliary_position, gnss_position, which a ti"),
-        ("TightlyCoupled", "fma", None, "^there is no calibration of fma in .*`spoofgym calibrate"),
-        ("TightlyCoupled", {"name": "ewma", "thresholds": "nominal"}, 0.2, "thresholds of its own"),
-        ("TightlyCoupled", "tests.envs.raises:Mine", None, ":Mine. raises RuntimeError"),
+        ("Zhong2025", "rio", 0.3, "^Rio needs auxiliary_position, gnss_position, which a ti"),
+        ("Zhong2025", "fma", None, "^there is no calibration of fma in .*`spoofgym calibrate"),
+        ("Zhong2025", {"name": "ewma", "thresholds": "nominal"}, 0.2, "thresholds of its own"),
+        ("Zhong2025", "tests.envs.raises:Mine", None, ":Mine. raises RuntimeError"),
     ],
 )
 def test_a_detector_is_refused_for_its_reason(env, detector, rate, message):
@@ -199,14 +202,14 @@ class Nervous(Detector):
 
 @pytest.mark.parametrize(
     ("kind", "prefetch"),
-    [("TightlyCoupled", False), ("TightlyCoupled", True), ("WheeledRobot", False)],
+    [("Zhong2025", False), ("Zhong2025", True), ("WheeledRobot", False)],
 )
 def test_detectors_that_watch_change_nothing_and_see_everything(kind, prefetch):
     """Warm-up, commands and time to alert, over episodes that end by themselves."""
-    loud, weighs = Nervous(), "ewma" if kind == "TightlyCoupled" else "acna"
+    loud, weighs = Nervous(), "ewma" if kind == "Zhong2025" else "acna"
     timeline = {**timeline_of(kind), "live_s": timeline_of(kind)["warmup_s"]}
     kwargs = {"end": ["at-window-end"], "timeline": timeline, "detector": loud}
-    kwargs |= {"prefetch": prefetch} if kind == "TightlyCoupled" else {}
+    kwargs |= {"prefetch": prefetch} if kind == "Zhong2025" else {}
     alone, watched = (
         victims(kind, 3, **kwargs, **w) for w in ({}, {"watch": [loud, weighs, weighs]})
     )
@@ -261,8 +264,8 @@ def test_every_epoch_of_every_episode_is_written(tmp_path, mode):
 @pytest.mark.parametrize(
     ("kind", "epochs", "at", "width"),
     [
-        ("TightlyCoupled", 1, -5, 24),
-        ("TightlyCoupled", 5, 33, 24),
+        ("Zhong2025", 1, -5, 24),
+        ("Zhong2025", 5, 33, 24),
         ("LooselyCoupled", 3, 33, 3),
         ("Snapshot", 3, 33, 24),
         ("WheeledRobot", 3, -5, 2),
@@ -291,7 +294,7 @@ def test_what_is_written_are_the_epochs_of_the_commands_and_no_others(
     assert not any(table["alarm"].to_pylist())
     assert np.array(table["innovation"].to_pylist()).shape == (STEPS, width)
     assert ("visible" in table.column_names) == (width == 24)
-    if kind != "TightlyCoupled":
+    if kind != "Zhong2025":
         commanded = np.array(table["commanded_displacement_m"].to_pylist())
         assert (np.diff(commanded[:, 1]) > 0.0).all()
     # the receiver has run the time to alert, which no file tells of

@@ -1,5 +1,6 @@
 """Every id does what it did when its trajectory was stored."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -17,6 +18,13 @@ def test_the_files_are_small_and_every_id_has_one():
     files = list(trajectories.FOLDER.iterdir())
     assert {path.stem for path in files} == set(trajectories.cases())
     assert sum(path.stat().st_size for path in files) < 400_000
+
+
+def test_the_default_environment_is_a_task():
+    one, other = map(gym.spec, (trajectories.DEFAULT, trajectories.SAME_AS_DEFAULT))
+    assert one.entry_point == other.entry_point
+    assert one.vector_entry_point == other.vector_entry_point
+    assert one.kwargs == other.kwargs
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,11 @@ from spoofgym.truth.sensors import SOURCES, SensorBuffers
 
 FOLDER = Path(__file__).with_name("trajectories")
 RECEIVERS, STEPS, SEED = 2, 40, 20261121
-AGED = "spoofgym/BenchS1-v2", "spoofgym/BenchS2-v2", "spoofgym/BenchS3-v2"
+DEFAULT = "spoofgym/TightlyCoupled-v0"
+SAME_AS_DEFAULT = "spoofgym/BenchS1-v2"
+AGED = (SAME_AS_DEFAULT, "spoofgym/BenchS2-v2", "spoofgym/BenchS3-v2", "spoofgym/Offsets-v0")
+FEW = {"spoofgym/Offsets-v0": 20, "spoofgym/SpooferView-v0": 20}
+"""Steps of ids whose every step is ten seconds and has much to observe: past the first episode."""
 Record = dict[str, np.ndarray]
 
 
@@ -85,12 +89,13 @@ def play_aec(steps: int = STEPS) -> Record:
     env = duel_v0.env()
     env.reset(seed=SEED)
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in env.possible_agents}
-    for k in range(steps):
-        for name, row in rows.items():
-            observation, reward, terminated, _, _ = env.last()
-            row.append({"observation": observation, "reward": reward, "terminated": terminated})
-            shape = env.action_space(name).shape
-            env.step(None if terminated else action_at(k, shape))
+    for k in range(2 * steps):
+        name = env.agent_selection  # a spoofer decides more seldom
+        observation, reward, terminated, _, _ = env.last()
+        row = {"observation": observation, "reward": reward, "terminated": terminated}
+        rows[name].append(row)
+        shape = env.action_space(name).shape
+        env.step(None if terminated else action_at(k // 2, shape))
         if not env.agents:
             env.reset()
     parts = {name: stacked(row) for name, row in rows.items()}
@@ -99,9 +104,10 @@ def play_aec(steps: int = STEPS) -> Record:
 
 def cases() -> dict[str, Callable[[], Record]]:
     """Everything that is stored, by the names of the files."""
-    ids = sorted(name for name in gym.registry if name.startswith("spoofgym/"))
+    ids = sorted(name for name in gym.registry if name.startswith("spoofgym/") and name != DEFAULT)
     table: dict[str, Callable[[], Record]] = {
-        name.removeprefix("spoofgym/"): (lambda name=name: play(name)) for name in ids
+        name.removeprefix("spoofgym/"): (lambda name=name: play(name, steps=FEW.get(name, STEPS)))
+        for name in ids
     }
     return {**table, "duel_v0-parallel": play_parallel, "duel_v0-aec": play_aec}
 

@@ -7,13 +7,13 @@ import pytest
 
 from spoofgym.bench.runs.panel import Panel, PanelAttack
 from spoofgym.bench.runs.play import induced_error
-from spoofgym.bench.runs.world import HEADLINE_DOMAIN
 from spoofgym.detectors import DETECTORS, Calibrated, Ewma, Never, make_detector
 from spoofgym.limits import NotReplayable, Replay
 from spoofgym.limits.response import check_replayable
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.setup import make_generators, seed_sequences
 from spoofgym.simulation.simulator import weighs
+from tools.calibrations import HEADLINE_DOMAIN
 
 SHORT = {"warmup_s": 60.0, "live_s": 40.0, "attack_s": 60.0, "time_to_alert_s": 5.0}
 TOP_MPS = 0.4

@@ -279,7 +279,7 @@ def test_environments_look_a_calibration_up_and_never_run_one(setup, folder, mon
             SpoofEnv(**{**settings, **changed})
         asked = {**settings, **changed}["detector"]
         nominal = {k: v for k, v in asked.items() if k not in ASKED} | {"thresholds": "nominal"}
-        command = "`spoofgym calibrate --env spoofgym/TightlyCoupled-v0 --set "
+        command = "`spoofgym calibrate --env spoofgym/Zhong2025-v0 --set "
         for part in (said, command, "--false-alarms-per-hour 10`", json.dumps(nominal)):
             assert part in str(told.value)
 

@@ -13,7 +13,7 @@ from spoofgym.simulation.simulator import run_serially
 from spoofgym.truth.flight import Headings
 from spoofgym.truth.manoeuvres import car
 
-ID = "spoofgym/TightlyCoupled-v0"
+ID = "spoofgym/Zhong2025-v0"
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 ALL = {
     "start_s": (5.0, 40.0),

@@ -106,7 +106,7 @@ def test_every_victim_environment_and_duel_take_it():
     loose = LooselyCoupledSetup(imu_rate_hz=20)
     assert (loose.name, loose.world.samples) == ("shadmehri2025@20Hz", 2)
     small = {"timeline": SHORT["tightly-coupled"]["timeline"], "imu_rate_hz": 20}
-    one = gym.make("spoofgym/TightlyCoupled-v0", **small)
+    one = gym.make("spoofgym/Zhong2025-v0", **small)
     duel = duel_v0.env(scenario="zhong2025", **small)
     for core in (one.unwrapped.core, duel.unwrapped.duel.core):
         assert (core.setup.name, core.setup.world.most_samples) == ("zhong2025@20Hz", 10)

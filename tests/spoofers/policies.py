@@ -113,7 +113,7 @@ def card_fields(name, content, context, knowledge, env):
         "side": "spoofer",
         "name": name,
         "kind": "onnx-policy",
-        "env_id": "spoofgym/TightlyCoupled-v0",
+        "env_id": "spoofgym/Zhong2025-v0",
         "env_kwargs": {**ENV, **FULL, "knowledge": knowledge, **env},
         **describe_context(context),
         "knowledge": {"run_time": knowledge, "design_time": "ewma, zhong2025"},

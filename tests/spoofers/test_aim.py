@@ -12,6 +12,7 @@ from spoofgym.spoofers.base import TARGET_NAMES
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 30.0, "time_to_alert_s": 2.0}
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 WORLD = {"timeline": SHORT, "attack": STRONG, "detector": "never", "action": "full-command"}
+DRAWN = {"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"}
 FOLLOWING = {"name": "ramp", "rate_mps": 2.0, "heading_deg": "target"}
 SCRIPTED = [
     FOLLOWING,
@@ -72,7 +73,7 @@ def test_where_a_target_cannot_be_followed():
     "action", ["full-command", {"name": "rate-setpoint", "full_scale_mps": 2.0}]
 )
 def test_a_target_that_is_drawn_is_reached(action):
-    envs = gym.make_vec("spoofgym/RandomStart-v0", num_envs=6, **{**WORLD, "action": action})
+    envs = gym.make_vec("spoofgym/Zhong2025-v0", num_envs=6, **{**WORLD, **DRAWN, "action": action})
     spoofer = attach(FOLLOWING, envs)
     observation, _ = envs.reset(seed=4)
     for _ in range(60):
@@ -83,13 +84,13 @@ def test_a_target_that_is_drawn_is_reached(action):
 
 
 def test_a_fixed_heading_is_warned_of_once():
-    envs = gym.make_vec("spoofgym/RandomStart-v0", num_envs=2, **WORLD)
+    envs = gym.make_vec("spoofgym/Zhong2025-v0", num_envs=2, **WORLD, **DRAWN)
     ramp = {"name": "ramp", "rate_mps": 2.0}
     with pytest.warns(UserWarning, match=r"Ramp \(heading_deg=90\); with heading_deg='target'"):
         attach(ramp, envs)
     attach("none", envs)
     envs.close()
-    drawn = {"timeline": SHORT, "target_heading_deg": "random"}
+    drawn = {"scenario": "trolley", "timeline": SHORT, "target_heading_deg": "random"}
     pool = [ramp, "none", {"name": "step", "heading_deg": 10.0}, FOLLOWING]
     with pytest.warns(UserWarning, match=r"push Ramp \(.*=90\), Step \(.*=10\); with") as told:
         duel_v0.DetectorView(pool, **drawn)
@@ -97,4 +98,4 @@ def test_a_fixed_heading_is_warned_of_once():
     duel_v0.DetectorView(["none", FOLLOWING], **drawn)
     duel_v0.DetectorView(ramp, **drawn, attack="per-channel")
     with pytest.raises(ValueError, match="'target' needs target_direction_north"):
-        duel_v0.DetectorView(FOLLOWING, timeline=SHORT)
+        duel_v0.DetectorView(FOLLOWING, scenario="trolley", timeline=SHORT)

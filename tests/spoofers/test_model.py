@@ -48,7 +48,7 @@ class Loaded:
 
 def test_a_model_is_played_as_its_environment_says_however_that_was_made():
     pace = {"decision_interval_s": 10.0, "between": "linear"}
-    env = gym.make("spoofgym/TightlyCoupled-v0", knowledge="tracking", **pace)
+    env = gym.make("spoofgym/Zhong2025-v0", knowledge="tracking", **pace)
     found = read_training_env(Loaded(SimpleNamespace(envs=[env])))  # as of a DummyVecEnv
     assert found.items() >= {"knowledge": "tracking", **pace}.items()
     predicting = SimpleNamespace(predict=lambda seen, deterministic: (seen + deterministic, None))

@@ -81,7 +81,7 @@ def test_every_shipped_spoofer_is_whole_and_fits_its_own_world_and_the_default_o
         assert card.file.name == f"{name}.onnx"
         assert card.file.bytes < 500_000
     for setup in (setup_of_card(card), World(card.env_id).setup):
-        names, notes = fitting(card.env_id, setup)
+        names, notes = fitting(setup)
         assert name in names, notes
     assert name in {entry.label for entry in Suite(env=card.env_id).spoofer_players}
 

@@ -9,6 +9,7 @@ from tools import feedback_gain
 from tools.feedback_gain import FEEDBACK, OFF, OPEN_LOOP, RIDER, TRIED, cases, play_kinds, rows
 
 WORLD = {
+    "scenario": "zhong2025",
     "timeline": {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0},
     "receiver": "matched",
     "detector": {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"},

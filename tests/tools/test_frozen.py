@@ -260,7 +260,7 @@ def test_every_id_has_every_form_and_the_quick_ones_every_command_and_score():
     assert forms >= {("single", None), *modes}
     cases = [each for each in list_cases(["spoofgym/BenchT3-v1"]) if frozen.is_wanted(each, True)]
     assert {(case.id, case.form) for case in cases} >= {*COMMANDS, *CALLS}
-    assert "TightlyCoupled-v0/shipped" in {case.name for case in cases if case.form == "shipped"}
+    assert "Zhong2025-v0/shipped" in {case.name for case in cases if case.form == "shipped"}
     assert frozen.is_wanted(Case("evaluate", "shipped"), False, ["bench", "evaluate*"])
     assert not frozen.is_wanted(Case("evaluate", "shipped"), True, ["bench", "evaluate"])
 

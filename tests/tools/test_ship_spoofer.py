@@ -15,7 +15,9 @@ from tools.ship_spoofer import main, ship
 
 def test_a_policy_is_shipped_with_its_score_unless_it_is_over_the_budget(tmp_path, monkeypatch):
     detector = {"name": "snapshot-chi2", "thresholds": "nominal"}
-    judge = Evaluator(detector=detector, timeline=TIMELINE, runs=40, entropy=3)
+    judge = Evaluator(
+        detector=detector, scenario="zhong2025", timeline=TIMELINE, runs=40, entropy=3
+    )
     source = write_policy(tmp_path, "mine")
     (tmp_path / "zoo").mkdir()
     file = ship(source, "better-name", judge, tmp_path / "zoo")

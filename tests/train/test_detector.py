@@ -39,7 +39,7 @@ OFTEN = 30.0
 
 @cache
 def setup():
-    return World.of(timeline=TIMES).setup
+    return World.of(scenario="zhong2025", timeline=TIMES).setup
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +170,9 @@ def test_minibatches_begin_at_drawn_moments_before_the_onset(trainer, monkeypatc
 
 
 def test_what_follows_an_episode_counts_for_nothing(tmp_path):
-    world = World.of(timeline=TIMES, domain={"turn_on": "drawn", "age_s": (15.0, 60.0)}).setup
+    world = World.of(
+        scenario="zhong2025", timeline=TIMES, domain={"turn_on": "drawn", "age_s": (15.0, 60.0)}
+    ).setup
     terms = ("innovation", "in-view", "line-of-sight", "chi-square")
     plan = Plan(world, length_m=10.0, terms=terms, runs={"train": 8})
     run_experiment(plan, Store(tmp_path / "aged"), threads=1)

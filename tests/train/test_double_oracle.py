@@ -41,7 +41,9 @@ QUICK = {
 
 @pytest.fixture(autouse=True, scope="module")
 def short_task():
-    task = Task("T3", "short", {"timeline": SHORT}, ({"name": "ewma"},), 5.0)
+    task = Task(
+        "T3", "short", {"scenario": "zhong2025", "timeline": SHORT}, ({"name": "ewma"},), 5.0
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(spoofgym.tasks.TASKS, "T3", task)
         yield
@@ -127,7 +129,7 @@ def test_a_policy_that_diverges_takes_no_part_and_stops_no_game(tmp_path, monkey
 @pytest.mark.slow
 def test_what_learns_enters_on_both_sides(tmp_path, monkeypatch):
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "calibrations"))
-    view = duel_v0.DetectorView(timeline=SHORT)
+    view = duel_v0.DetectorView(scenario="zhong2025", timeline=SHORT)
     guard = tmp_path / "guard.onnx"
     guard.write_bytes(written(network(view.observation_space.shape[0], view.action_space.shape[0])))
     duel_v0.write_card(guard, view, name="guard")

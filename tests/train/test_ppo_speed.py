@@ -36,7 +36,8 @@ def test_ratio_and_speeds_are_medians_each_of_its_environment(monkeypatch, capsy
 
 
 def test_the_environment_without_physics_looks_like_the_engine():
-    kwargs = {"timeline": {"warmup_s": 6.0, "live_s": 3.0, "attack_s": 10.0}, "prefetch": False}
+    timeline = {"warmup_s": 6.0, "live_s": 3.0, "attack_s": 10.0}
+    kwargs = {"scenario": "zhong2025", "timeline": timeline, "prefetch": False}
     looks = []
     for kind in (SpoofVecEnv, Nothing):
         envs = kind(2, seed=0, threads=1, **kwargs)

@@ -19,7 +19,7 @@ from spoofgym.wrappers import (
 
 from ..envs.support import HOLD, SHORT, STEPS, AlarmAt, LooksAtEpochs
 
-ID = "spoofgym/TightlyCoupled-v0"
+ID = "spoofgym/Zhong2025-v0"
 FAST = {"name": "ramp", "rate_mps": 1.0}
 LARGEST = 1.6
 

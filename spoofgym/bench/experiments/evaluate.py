@@ -13,7 +13,7 @@ from ...tasks import get_task
 from ..runs.panel import Panel, PanelAttack
 from ..runs.players import FITTED, PlayerSpec, refuse_oracles, specify_detector, specify_policy
 from ..runs.record import MEASURES
-from ..runs.world import WORLD, World
+from ..runs.world import WORLD, World, read_training_world
 from ..scores.scores import score_stealth, select_clusters
 from ..scores.spoofer import SpooferScore
 from ..scores.statistics import (
@@ -42,7 +42,8 @@ class Evaluator:
     Examples
     --------
     >>> from spoofgym.bench.experiments.evaluate import Evaluator
-    >>> world = {"timeline": {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}}
+    >>> times = {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}
+    >>> world = {"scenario": "zhong2025", "timeline": times}
     >>> detector = {"name": "snapshot-chi2", "thresholds": "nominal"}
     >>> judge = Evaluator(detector=detector, runs=4, fit_runs=80, **world)
     >>> ramp = judge.score({"name": "ramp", "rate_mps": 0.1})
@@ -62,13 +63,10 @@ class Evaluator:
         progress: ProgressCallback | None = None,
         **world: Any,
     ) -> None:
-        if task is None:
-            if "detector" not in world:
-                raise ValueError("`evaluate` needs a task, or a `detector` and its world")
-            detector = world.pop("detector")
-            check_keywords("evaluate", world, (*WORLD, "env", "settings"))
+        detector = world.pop("detector", None) if task is None else get_task(task).detector
+        check_keywords("evaluate", world, (*WORLD, "env", "settings"))
         self.world = World.of(task, **world)
-        self.detector = specify_detector(detector if task is None else get_task(task).detector)
+        self.detector = specify_detector(self.world.detector if detector is None else detector)
         refuse_oracles((self.detector,))
         fit_runs = whole_number("`fit_runs`", fit_runs, fewest_runs(BUDGET))
         self.runs = whole_number("`runs`", runs, 2)
@@ -141,6 +139,7 @@ class Evaluator:
         budget, mean = self.tuning.budget, bootstrap_mean(moved[counts], samples)
         return SpooferScore(
             task=self.task,
+            world=self.world.title,
             detector=self.detector.label,
             spoofer=entry.label,
             knowledge=entry.build().knowledge,
@@ -196,8 +195,7 @@ def evaluate(
         module; a function of (B, o) observations that returns (B, a) actions; a `Spoofer`;
         its name, or name and settings; or the path of an ``.onnx`` file with its card.
     task : str, optional
-        ``"S1"`` to ``"S3"``, or ``"T1"`` to ``"T6"``; without one, ``detector`` and its world are
-        given by name.
+        ``"S1"`` to ``"S3"``, or ``"T1"`` to ``"T6"``.
     runs : int
         Evaluation runs, which decide nothing.
     fit_runs : int
@@ -226,8 +224,11 @@ def evaluate(
     progress : ProgressCallback, optional
         Shows how far it is.
     **world
-        Without a task: ``detector``, and settings of the environment as `World.of` takes them,
-        such as ``scenario``, ``receiver``, ``attack``, ``timeline`` and ``domain``.
+        Without a task: ``detector``, ``env``, the id of an environment, and what differs from its
+        settings, such as ``scenario``, ``receiver``, ``attack``, ``timeline`` and ``domain``.  With
+        none of them but the detector it is the world that the model was trained in, as its
+        environment or its card says, and for a scripted spoofer ``spoofgym/TightlyCoupled-v0``.
+        With a ``scenario`` all else has the defaults of the victim.
 
     Returns
     -------
@@ -247,7 +248,8 @@ def evaluate(
     --------
     >>> import numpy as np
     >>> import spoofgym
-    >>> world = {"timeline": {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}}
+    >>> times = {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}
+    >>> world = {"scenario": "zhong2025", "timeline": times}
     >>> detector = {"name": "snapshot-chi2", "thresholds": "nominal"}
     >>> score = spoofgym.evaluate(
     ...     lambda seen: np.full((len(seen), 1), 0.1), detector=detector, runs=4, amplitude=None,
@@ -256,6 +258,8 @@ def evaluate(
     >>> score.spoofer, score.runs, score.keeps_budget
     ('mine', 4, True)
     """
+    if task is None and not {*world} - {"detector"}:
+        world = {**read_training_world(policy), **world}
     judge = Evaluator(
         task,
         runs=runs,

@@ -20,12 +20,11 @@ from ...core.settings import compute_digest, outside_sources
 from ...detectors import Detector, OperatingPoint
 from ...detectors.build import spec_of_judge
 from ...detectors.calibrated import STANDARD_RATE
-from ...envs.spoofer_binding import ENV_ID
 from ...policies.onnx_file import SUFFIX
 from ...simulation.domain import Domain
 from ...simulation.setup import SPLITS, Setup, Timeline
 from ...spoofers import Spoofer
-from ...tasks import RANGE_RATE_TESTS, Task, get_task
+from ...tasks import DEFAULT_TASK, RANGE_RATE_TESTS, Task, get_task
 from ...truth.scenario import Scenario
 from ..runs.players import (
     DEFAULT_SPOOFERS,
@@ -38,7 +37,7 @@ from ..runs.players import (
     specify_detector,
     specify_spoofer,
 )
-from ..runs.world import CONTROLS, VICTIMS, WORLD, World
+from ..runs.world import CONTROLS, PLAIN_ID, WORLD, World
 from ..search.amplitude import EXACT, Tuning
 from ..search.attack_suite import (
     NAME,
@@ -61,7 +60,9 @@ ALERT_LIMITS_M = (5.0, 10.0, 20.0, ALERT_LIMIT_M, 80.0, 160.0, 320.0, 556.0)
 class Suite:
     """What a campaign runs."""
 
-    env: str = setting(default=ENV_ID, help="Environment of the victim, in `VICTIMS`.")
+    env: str = setting(
+        default=PLAIN_ID, help="Environment; the settings below are put on top of its own."
+    )
     scenario: str | Mapping[str, Any] | Scenario | None = setting(
         default=None, help="Flight of the victim, where its environment has one to choose."
     )
@@ -149,7 +150,7 @@ class Suite:
     @cached_property
     def detector_players(self) -> tuple[PlayerSpec, ...]:
         """Detectors in their order."""
-        specs = VICTIMS[self.env].detectors if self.detectors is None else self.detectors
+        specs = self.world.default_detectors if self.detectors is None else self.detectors
         return tuple(specify_detector(spec) for spec in specs)
 
     @property
@@ -176,7 +177,7 @@ class Suite:
     @cached_property
     def _fitting_spoofers(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Shipped spoofers that fit, and why others do not."""
-        return fitting(self.env, self.world.setup)
+        return fitting(self.world.setup)
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -306,7 +307,6 @@ def _without_folders(value: Any) -> Any:
 STANDARD = "standard"
 SUITES = (STANDARD,)
 """Names of `spoofgym bench --suite`."""
-TASK = "S1"
 RATE = STANDARD_RATE
 """False alarms an hour of all detectors."""
 SPOOFERS = ("ramp", "accelerating-ramp", "open-loop", "feedback")
@@ -349,14 +349,14 @@ def list_task_detectors(task: Task) -> list[dict[str, Any]]:
 def list_standard_detectors() -> list[dict[str, Any]]:
     """Detectors of the standard suite: the controls, solution separation with the task's bank, also
     on the victim's filter, and one or two tests of each kind."""
-    bank, plain, *others = list_task_detectors(get_task(TASK))[len(CONTROLS) :]
+    bank, plain, *others = list_task_detectors(get_task(DEFAULT_TASK))[len(CONTROLS) :]
     rates = [each for each in others if "signals" in each and each["name"] in RATE_TESTS]
     return [*map(dict, CONTROLS), bank, plain, *rates, *({"name": name} for name in TESTS)]
 
 
 def standard_kwargs() -> dict[str, Any]:
     """Keyword arguments of a `Suite`, but for its detectors."""
-    task = get_task(TASK)
+    task = get_task(DEFAULT_TASK)
     limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
     note = f"suite {STANDARD}: the world of task {task.key} of {task.suite}"
     return {**task.world_kwargs, **limit, "notes": (note,)}

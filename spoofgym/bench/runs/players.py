@@ -17,7 +17,7 @@ from ...core.settings import describe
 from ...detectors import DETECTORS, Calibrated, Detector, detector_in_world
 from ...detectors.build import get_default_request, spec_of_judge
 from ...detectors.pool import normalize_weights
-from ...envs.spoofer_binding import bound_spoofer, monitors_for, setup_of_card
+from ...envs.spoofer_binding import bound_spoofer, find_card_settings, monitors_for, setup_of_card
 from ...policies import SpooferCard, list_shipped, load_card
 from ...policies.card import DETECTOR, SPOOFER
 from ...simulation.setup import SPLITS, Setup
@@ -452,12 +452,12 @@ def check_labels(entries: tuple[PlayerSpec, ...]) -> None:
         raise ValueError(f"listed twice: {', '.join(names)}{hint}")
 
 
-def fitting(env: str, setup: Setup) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the shipped spoofers of an environment that fit, as a campaign plays them: by their
-    own actions and at their own pace. Also why others of it are left out."""
+def fitting(setup: Setup) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the shipped spoofers of a victim that fit, as a campaign plays them: by their own
+    actions and at their own pace. Also why others of it are left out."""
     names, notes = [], []
     for name in list_shipped(SPOOFER):
-        if load_card(name, SpooferCard).env_id != env:
+        if find_card_settings(load_card(name, SpooferCard))[0] is not type(setup):
             continue
         spoofer = make_spoofer(name)
         watched = setup.copy_with(monitors=monitors_for([spoofer], setup))

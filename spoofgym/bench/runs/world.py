@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -11,13 +12,13 @@ import numpy as np
 
 from ...attacks import ATTACKS
 from ...core.declared import setting, settings_record
-from ...core.registry import build_spec, check_choice, inspect_settings, refuse_overrides
+from ...core.registry import build_spec, inspect_settings, refuse_overrides
 from ...core.settings import describe
 from ...detectors import Detector, OperatingPoint
 from ...detectors.calibrated import calibrated_parts, resolve_thresholds
-from ...envs.factory import make_setup
+from ...duel.learner import describe_environment
+from ...envs.factory import DEFAULT_ID, find_environment, make_setup
 from ...envs.spoofer_binding import (
-    ENV_ID,
     SETUPS,
     get_tuning_range,
     monitors_for,
@@ -30,10 +31,12 @@ from ...simulation import robot as wheeled_robot
 from ...simulation.monitors import Monitor
 from ...simulation.setup import Setup, make_generators, seed_sequences
 from ...simulation.simulator import run_serially
-from ...spoofers import Scaled, SpooferContext, make_spoofer
+from ...spoofers import Scaled, Spoofer, SpooferContext, make_spoofer
+from ...spoofers.build import card_behind
+from ...spoofers.learned import inner_env
 from ...tasks import get_task
 from .play import make_bound_spoofer
-from .players import DEFAULT_DETECTORS, PlayerSpec
+from .players import DEFAULT_DETECTORS, PlayerSpec, specify_policy
 
 
 class Victim(NamedTuple):
@@ -45,17 +48,6 @@ class Victim(NamedTuple):
 
 CONTROLS = ({"name": "never"}, {"name": "lottery"})
 """Negative controls, which every table of the benchmark has."""
-SKIES = 32
-HEADLINE_DOMAIN = {
-    "start_s": [0.0, None],
-    "turned_deg": [0.0, 360.0],
-    "constellation_time_s": [0.0, 86_400.0],
-    "worlds": SKIES,
-    "turn_on": "drawn",
-}
-"""What is drawn for every run of a headline: the onset, where the flight heads, the sky, one of
-`SKIES`, and the turn-on constants of the inertial sensors.  Which way an attack pushes is fixed, so
-that its angle to the flight is drawn, too."""
 DEFAULTS: dict[type[Setup], tuple[dict[str, Any], ...]] = {
     TightlyCoupledSetup: DEFAULT_DETECTORS,
     LooselyCoupledSetup: (loosely_coupled.DEFAULT_DETECTOR,),
@@ -63,7 +55,9 @@ DEFAULTS: dict[type[Setup], tuple[dict[str, Any], ...]] = {
     WheeledRobotSetup: ({"name": "rio"}, wheeled_robot.DEFAULT_DETECTOR),
 }
 VICTIMS = {env_id: Victim(setup, DEFAULTS[setup]) for env_id, setup in SETUPS.items()}
-"""By environment."""
+"""By environment that has the victim's defaults."""
+PLAIN_ID = TightlyCoupledSetup.env_id
+"""Environment of a world that is given by settings alone."""
 WORLD = (
     "scenario",
     "receiver",
@@ -77,18 +71,35 @@ WORLD = (
 """Settings of a victim that a world has by name."""
 
 
+def read_training_world(policy: Any) -> dict[str, Any]:
+    """Arguments of `World.of`, and the detector, of the environment that a policy was trained in;
+    nothing where it has none."""
+    card = None
+    if isinstance(policy, str | os.PathLike | Mapping | Spoofer):
+        card = card_behind(specify_policy(policy).build())
+    if card is not None:
+        env, settings = card.env_id, card.env_kwargs
+    elif (inner := inner_env(policy.get_env() if hasattr(policy, "get_env") else None)) is None:
+        return {}
+    else:
+        env, settings = describe_environment(inner)
+    valid = inspect_settings(find_environment(env)[0])
+    own = {name: value for name, value in settings.items() if name in valid}
+    detector = {"detector": own.pop("detector")} if "detector" in own else {}
+    return {"env": env, "settings": own, **detector}
+
+
 @settings_record(frozen=True)
 class World:
     """Where detectors and spoofers meet."""
 
-    env: str = setting(default=ENV_ID, help="Environment of the victim, in `VICTIMS`.")
+    env: str = setting(default=PLAIN_ID, help="Environment, whose settings are below those given.")
     settings: Mapping[str, Any] = setting(
-        default_factory=dict, help="Settings of the victim that are not its defaults."
+        default_factory=dict, help="Settings of the victim that are not its environment's."
     )
 
     def __post_init__(self) -> None:
-        check_choice("environment of the benchmark", self.env, VICTIMS)
-        valid = [name for name in inspect_settings(VICTIMS[self.env].setup) if name != "detector"]
+        valid = [name for name in inspect_settings(self.kind) if name != "detector"]
         for name, value in self.settings.items():
             if name not in valid:
                 raise ValueError(
@@ -98,21 +109,60 @@ class World:
     @classmethod
     def of(cls, task: str | None = None, /, **named: Any) -> World:
         """World of a task, which decides it, or of settings: ``env``, those of `WORLD` by name, and
-        further ones as ``settings``; None is as if it were not there."""
+        further ones as ``settings``; None is as if it were not there, but in ``settings``. Without
+        ``env`` it is the default one, or with a scenario one of the victim's defaults."""
         if task is not None:
             refuse_overrides(f"task {task}", (f"`{name}`" for name in named))
             return cls(settings=get_task(task).world_kwargs)
-        env, further = named.pop("env", ENV_ID), named.pop("settings", {})
+        further = named.pop("settings", {})
         own = {name: value for name, value in named.items() if value is not None}
+        env = own.pop("env", PLAIN_ID if "scenario" in {**own, **further} else DEFAULT_ID)
         for name in further:
             if name in own:
                 raise ValueError(f"`settings` has {name!r}, which is given by name, too")
         return cls(env, {**own, **further})
 
     @cached_property
+    def _environment(self) -> tuple[type[Setup], dict[str, Any]]:
+        return find_environment(self.env)
+
+    @property
+    def kind(self) -> type[Setup]:
+        """Of the victim."""
+        return self._environment[0]
+
+    @property
+    def title(self) -> str:
+        """Environment, and the names of the settings that differ from its own."""
+        own = self._environment[1]
+        other = [name for name, x in self.settings.items() if x != own.get(name)]
+        return f"{self.env} with {', '.join(other)}" if other else self.env
+
+    @cached_property
+    def all_settings(self) -> dict[str, Any]:
+        """Settings of the victim that are not its defaults."""
+        valid = inspect_settings(self.kind)
+        own = {name: x for name, x in self._environment[1].items() if name in valid}
+        return {**own, **self.settings, "detector": "never"}
+
+    @property
+    def detector(self) -> Any:
+        """The one that the environment has."""
+        valid = {**inspect_settings(self.kind), **self._environment[1]}
+        return valid["detector"]
+
+    @property
+    def default_detectors(self) -> tuple[Any, ...]:
+        """Those of a campaign: the environment's own, or those that suit the victim."""
+        own = self._environment[1].get("detector")
+        if own is None:
+            return DEFAULTS[self.kind]
+        return ({key: x for key, x in own.items() if key != "false_alarms_per_hour"},)
+
+    @cached_property
     def setup(self) -> Setup:
         """What all receivers share, without a defence."""
-        return make_setup(VICTIMS[self.env].setup, {"detector": "never", **self.settings})
+        return make_setup(self.kind, self.all_settings)
 
     @cached_property
     def context(self) -> SpooferContext:
@@ -184,7 +234,8 @@ class World:
     @cached_property
     def config(self) -> dict[str, Any]:
         return {
-            "env": self.env,
+            # all settings are there, so that it says which victim, however the world was named
+            "env": DEFAULT_ID if self.kind is TightlyCoupledSetup else self.kind.env_id,
             **self._describe_victim(),
             "timeline": describe(self.setup.timeline),
             "domain": describe(self.setup.domain),
@@ -202,7 +253,7 @@ class World:
                 "receiver": describe(setup.receiver),
                 "attack": build_spec("attack", ATTACKS, setup.attack),
             }
-        every = {**inspect_settings(type(setup)), **self.settings}
+        every = {**inspect_settings(type(setup)), **self.all_settings}
         limits = {"control": setup.attack.control, "rate_limit_mps": setup.attack.rate_limit_mps}
         return {
             "scenario": {"name": setup.name},

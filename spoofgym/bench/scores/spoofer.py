@@ -18,7 +18,8 @@ from .statistics import Estimate, FloatArray, draw_resamples, interval, percenti
 class SpooferScore:
     """What a spoofer is worth against one detector; paired with every other one of the same runs.
 
-    - `task`, `detector`, `spoofer`: what it met, and its name;
+    - `task`, `world`, `detector`, `spoofer`: what it met, the world by its environment and what
+      differs from it, and its name;
     - `knowledge`: what it observes while it attacks;
     - `setting`, `value`: what was fitted, or given, and to what; None where nothing can be;
     - `runs`, `counted`: evaluation runs, and those that are silent before the onset and without an
@@ -55,6 +56,7 @@ class SpooferScore:
     counts: NDArray[np.bool_] = field(repr=False, compare=False)
     sky: NDArray[np.int64] = field(repr=False, compare=False)
     twins: str = field(repr=False)
+    world: str = ""
     at_budget: dict[str, Any] | None = field(default=None, repr=False, compare=False)
 
     @property
@@ -91,7 +93,17 @@ class SpooferScore:
         return percentiles(float(mine.sum()) / base if base else math.nan, drawn)
 
     def as_dict(self) -> dict[str, Any]:
-        plain = ("task", "detector", "spoofer", "knowledge", "setting", "value", "runs", "counted")
+        plain = (
+            "task",
+            "world",
+            "detector",
+            "spoofer",
+            "knowledge",
+            "setting",
+            "value",
+            "runs",
+            "counted",
+        )
         return {
             **{name: getattr(self, name) for name in plain},
             "stealthy_displacement_m": self.stealthy_displacement_m.as_json(),
@@ -104,7 +116,7 @@ class SpooferScore:
         }
 
     def __str__(self) -> str:
-        where = self.detector if self.task is None else f"{self.detector}, {self.task}"
+        where = f"{self.detector}, {self.world if self.task is None else self.task}"
         alarms = interval({k: _percent(v) for k, v in self.alarm_rate._asdict().items()}, 1)
         what = "" if self.value is None else f", {self.setting} {self.value:.4g}"
         over = "" if self.keeps_budget else f", over the budget of {100 * self.budget:g} %"

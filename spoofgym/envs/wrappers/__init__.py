@@ -184,7 +184,7 @@ class DetectorWrapper(_Base, RecordConstructorArgs):
     >>> import gymnasium as gym
     >>> import spoofgym
     >>> from spoofgym.wrappers import DetectorWrapper
-    >>> env = DetectorWrapper(gym.make("spoofgym/TightlyCoupled-v0"), "snapshot-chi2")
+    >>> env = DetectorWrapper(gym.make("spoofgym/Zhong2025-v0"), "snapshot-chi2")
     >>> type(env.unwrapped.core.setup.detector).__name__
     'SnapshotChi2'
     >>> env.close()
@@ -257,7 +257,7 @@ class PassiveDetector(_Base, RecordConstructorArgs):
     >>> import gymnasium as gym
     >>> import spoofgym
     >>> from spoofgym.wrappers import PassiveDetector
-    >>> env = PassiveDetector(gym.make("spoofgym/TightlyCoupled-v0"), "snapshot-chi2")
+    >>> env = PassiveDetector(gym.make("spoofgym/Zhong2025-v0"), "snapshot-chi2")
     >>> observation, info = env.reset(seed=1)
     >>> info["alarm"]
     False

@@ -27,7 +27,7 @@ from spoofgym.testing import check_detector
 from .files import TERMS, edit_card, write_guard
 
 FAST = {"warmup_s": 6.0, "live_s": 3.0, "attack_s": 8.0, "time_to_alert_s": 1.0}
-ID = "spoofgym/TightlyCoupled-v0"
+ID = "spoofgym/Zhong2025-v0"
 RATE = {"false_alarms_per_hour": 60.0}
 
 
@@ -102,7 +102,7 @@ def test_environments_take_a_file_and_their_spec_is_json(guard):
     for env in (gym.make(spec), wrapped, batch):
         assert statistics(env) == seen
         assert inner(env).detector.sha256 == LearnedDetector(guard).sha256
-    learner = SpoofVecEnv(2, detector=guard, timeline=FAST, seed=0)
+    learner = SpoofVecEnv(2, env_id=ID, detector=guard, timeline=FAST, seed=0)
     learner.reset()
     assert inner(learner).scale == 0.9
     # a passive one sees the same beside the detector in the loop
@@ -156,7 +156,7 @@ def test_older_cards_have_the_terms_and_the_warm_up_of_the_duel(guard, tmp_path)
     old = write_guard(tmp_path / "old", "old", threshold=0.9)
     terms = [{"name": name} for name in TERMS]
     edit_card(old, quiet_epochs=..., terms=terms, channels=..., interval_s=...)
-    view = duel_v0.SpooferView([guard, str(old)], timeline=FAST)
+    view = duel_v0.SpooferView([guard, str(old)], scenario="trolley", timeline=FAST)
     first, second = (each.detector for each in view.core.setup.detector.judges)
     assert (first.judge_by.quiet, second.judge_by.quiet) == (0, view.core.setup.live)
     assert second.spec == {"name": str(old), "quiet_epochs": 6}

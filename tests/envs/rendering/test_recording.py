@@ -12,8 +12,8 @@ from ..support import VICTIMS, victim
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
 
 
-def core_of(kind="TightlyCoupled", **kwargs):
-    settings = {"timeline": SHORT} if kind == "TightlyCoupled" else {}
+def core_of(kind="Zhong2025", **kwargs):
+    settings = {"timeline": SHORT} if kind == "Zhong2025" else {}
     return victim(kind, **{"end_at_alarm": False, **settings, **kwargs}).unwrapped.core
 
 

@@ -17,7 +17,7 @@ matplotlib = pytest.importorskip("matplotlib")
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
 RANDOM = {"target_heading_deg": "random", "twin": True}
 IDS = {
-    "spoofgym/TightlyCoupled-v0": {"timeline": SHORT, "action": "full-command"},
+    "spoofgym/Zhong2025-v0": {"timeline": SHORT, "action": "full-command"},
     "spoofgym/Snapshot-v0": {"domain": {"turned_deg": [0.0, 360.0], "worlds": 3}, **RANDOM},
     "spoofgym/LooselyCoupled-v0": {"domain": {"start_s": [0.0, 5.0]}, **RANDOM},
     "spoofgym/WheeledRobot-v0": {"domain": {"start_s": [0.0, None]}, **RANDOM},
@@ -25,7 +25,7 @@ IDS = {
 PUSH = np.array([0.2, 1.0], dtype=np.float32)
 
 
-def make(name="spoofgym/TightlyCoupled-v0", mode="rgb_array", **kwargs):
+def make(name="spoofgym/Zhong2025-v0", mode="rgb_array", **kwargs):
     return gym.make(name, render_mode=mode, **IDS[name], **kwargs)
 
 

@@ -15,7 +15,7 @@ from spoofgym.envs.terms.action import CommandMap, default_action
 from spoofgym.envs.terms.observation import default_terms
 
 MOST = "oracle+reported"
-TABLES = ("TightlyCoupled", "RandomStart", "LooselyCoupled", "Snapshot", "WheeledRobot")
+TABLES = ("TightlyCoupled", "Zhong2025", "LooselyCoupled", "Snapshot", "WheeledRobot")
 """In the order of their tables in the docstring of `SpoofEnv`."""
 
 

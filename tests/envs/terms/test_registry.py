@@ -37,7 +37,7 @@ def test_every_term_goes_through_json(kind):
 def offered(term):
     """Environments, single and three at a time, of each victim that has what a term observes."""
     plain = {"observation": term, "end_at_alarm": False}
-    for kind, own in [*((kind, {}) for kind in VICTIMS), ("TightlyCoupled", {"control": "rate"})]:
+    for kind, own in [*((kind, {}) for kind in VICTIMS), ("Zhong2025", {"control": "rate"})]:
         try:
             yield victim(kind, **plain, **own).unwrapped, victims(kind, 3, **plain, **own)
         except (TypeError, ValueError):

@@ -69,7 +69,7 @@ def test_reports_come_as_often_as_they_are_sent():
         core_of(1, ReportedPosition(latency_s=40.0))
 
 
-@pytest.mark.parametrize("kind", ["TightlyCoupled", "LooselyCoupled", "Snapshot", "WheeledRobot"])
+@pytest.mark.parametrize("kind", ["Zhong2025", "LooselyCoupled", "Snapshot", "WheeledRobot"])
 def test_every_victim_reports(kind):
     env = victim(kind, knowledge="blind+reported", detector="never")
     names = env.unwrapped.observation_names

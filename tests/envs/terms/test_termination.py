@@ -12,7 +12,7 @@ from spoofgym.envs.core import ALARM_PRICE
 
 from ..support import HOLD, LIVE, STEPS, VICTIMS, AlarmAt, single, victim, victims
 
-LIMITS_M = {"TightlyCoupled": 0.5, "LooselyCoupled": 1.0, "Snapshot": 15.0, "WheeledRobot": 4.0}
+LIMITS_M = {"Zhong2025": 0.5, "LooselyCoupled": 1.0, "Snapshot": 15.0, "WheeledRobot": 4.0}
 """Displacements that a full push comes to in some epochs of an episode."""
 
 
@@ -75,7 +75,7 @@ def test_a_limit_from_outside_truncates_and_holds_nothing(kind):
 @pytest.mark.parametrize("steps", [STEPS - 1, STEPS])
 def test_a_receiver_that_is_over_is_not_held_to_twice(steps):
     """Its next epoch is thrown away; it must not run out of the world."""
-    kind = "TightlyCoupled" if steps == STEPS else "LooselyCoupled"
+    kind = "Zhong2025" if steps == STEPS else "LooselyCoupled"
     end = [{"name": "at-steps", "steps": steps}, far(kind)]
     envs = victims(kind, 2, end=end, detector="never")
     envs.reset(seed=1)
