@@ -70,6 +70,7 @@ SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
     "ramp": lambda t: np.ones_like(t),
     "smooth entry": lambda t: np.where(t < 0.5, t * t * (12.0 - 16.0 * t), 1.0),
     "accelerating ramp": lambda t: t,
+    "ramp that levels off": lambda t: np.sin(0.5 * np.pi * t) ** 1.3,
     "cubic ramp": lambda t: t * t,
     "ramp of the fifth degree": lambda t: t**4,
     "ramp that accelerates": lambda t: 0.3 + 0.7 * t,
