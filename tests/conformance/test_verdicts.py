@@ -142,7 +142,12 @@ SIMULATIONS = {
     "several": (B, lambda judge: stepped(several(detector=judge))),
     "pool": (B, lambda judge: stepped(several(detector=pool_of(judge)))),
     "twin": (B, lambda judge: stepped(several(detector=judge, twin=True))),
-    "view": (1, lambda j: stepped(duel_v0.SpooferView(scenario="zhong2025", pool=[j], timeline=timeline(0.5)))),
+    "view": (
+        1,
+        lambda j: stepped(
+            duel_v0.SpooferView(scenario="zhong2025", pool=[j], timeline=timeline(0.5))
+        ),
+    ),
     **{
         name: (B, lambda judge, name=name: stepped(several(name, detector=judge)))
         for name in INTERVALS
