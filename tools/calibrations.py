@@ -26,25 +26,16 @@ from spoofgym.envs.factory import make_setup
 from spoofgym.simulation.setup import Setup
 from spoofgym.simulation.simulator import weighs
 from spoofgym.tasks import DETECTOR_TASKS, PAPERS, RANGE_RATE_TESTS, TASKS
+from spoofgym.tasks.v1 import DRAWN
 
-HEADLINE_DOMAIN = {
-    "start_s": [0.0, None],
-    "turned_deg": [0.0, 360.0],
-    "constellation_time_s": [0.0, 86_400.0],
-    "worlds": 32,
-    "turn_on": "drawn",
-}
-"""What is drawn for every run there: the onset, where the flight heads, the sky, and the turn-on
-constants of the inertial sensors.  Which way an attack pushes is fixed, so that its angle to the
-flight is drawn, too."""
 RANDOM_START = {"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"}
 HEADLINES: dict[str, dict[str, Any]] = {
-    "headline-zhong2025": {"domain": HEADLINE_DOMAIN},
-    "headline-trolley": {"scenario": "trolley", "receiver": "matched", "domain": HEADLINE_DOMAIN},
+    "headline-zhong2025": {"domain": DRAWN},
+    "headline-trolley": {"scenario": "trolley", "receiver": "matched", "domain": DRAWN},
     "headline-aviation-actual": {
         "scenario": "aviation-actual",
         "receiver": "matched",
-        "domain": HEADLINE_DOMAIN,
+        "domain": DRAWN,
     },
 }
 """Worlds of the table of all detectors, drawn for every run."""

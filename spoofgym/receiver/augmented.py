@@ -206,7 +206,7 @@ class AugmentedFilter:
         channels: int,
         wanted: Collection[str] = (),
     ) -> None:
-        self.memory, self.model, self.interval_s = memory, model, interval_s
+        self.memory, self.model = memory, model
         b, size = memory.receivers, FIRST + len(model.first)
         self.states, self.inertial = size, FIRST + model.wandering
         self._tables = model.tables(interval_s)

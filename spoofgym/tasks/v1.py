@@ -28,7 +28,8 @@ DRAWN = {
     "worlds": 32,
     "turn_on": "drawn",
 }
-"""What every headline draws: onset, heading, sky and the turn-on constants of the sensors."""
+"""What every headline draws: onset, heading, sky and the turn-on constants of the sensors.  Which
+way an attack pushes is fixed, so that its angle to the flight is drawn, too."""
 LONG_SEPARATION = {"name": "solution-separation", "longest_s": 360.0, "spacing_s": 60.0}
 """A bank of coasting solutions that covers an attack of 325 s."""
 

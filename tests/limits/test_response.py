@@ -13,7 +13,7 @@ from spoofgym.limits.response import check_replayable
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.setup import make_generators, seed_sequences
 from spoofgym.simulation.simulator import weighs
-from tools.calibrations import HEADLINE_DOMAIN
+from spoofgym.tasks.v1 import DRAWN
 
 SHORT = {"warmup_s": 60.0, "live_s": 40.0, "attack_s": 60.0, "time_to_alert_s": 5.0}
 TOP_MPS = 0.4
@@ -72,7 +72,7 @@ def test_all_detectors_of_satellites_but_those_that_weigh_are_replayed():
         ({}, sorted_out()[0], 12),
         ({"decision_interval_s": 10.0, "attack": "quiet"}, ["snapshot-chi2", "aime"], 16),
         ({"target_heading_deg": "random"}, ["snapshot-chi2", "raim"], 16),
-        pytest.param({"domain": HEADLINE_DOMAIN}, sorted_out()[0], 16, marks=pytest.mark.nightly),
+        pytest.param({"domain": DRAWN}, sorted_out()[0], 16, marks=pytest.mark.nightly),
     ],
 )
 def test_every_detector_alarms_as_on_the_simulator(settings, names, runs):
