@@ -43,7 +43,7 @@ from spoofgym.cli.app import progress
 from spoofgym.cli.options import list_passed_options
 from spoofgym.core.registry import parse_spec, refuse_overrides
 from spoofgym.core.settings import describe
-from spoofgym.envs.spoofer_binding import spoofer_context
+from spoofgym.envs.context import spoofer_context
 from spoofgym.policies import SpooferCard
 from spoofgym.policies.card import DECIDED_ON, NAME, describe_context
 from spoofgym.simulation import Timeline

@@ -40,7 +40,7 @@ from .detectors.learned import DetectorAgent, action_names, detector_card
 from .detectors.observation import DetectorObserver
 from .duel.learner import describe_environment
 from .duel.views import write_card
-from .envs.spoofer_binding import spoofer_context
+from .envs.context import spoofer_context
 from .policies.card import (
     Card,
     DetectorCard,

@@ -18,6 +18,7 @@ from ..detectors.build import spec_of_judge
 from ..detectors.pool import normalize_weights
 from ..envs.core import SpoofCore
 from ..envs.factory import CORE, DEFAULT_ID, DEFAULT_VICTIM, make_core, select_victim
+from ..envs.terms import describe_terms
 from ..simulation.setup import Setup
 from ..simulation.tight import TightlyCoupledSetup
 from ..tasks import DETECTOR_TASKS, get_detector_task, get_task
@@ -141,6 +142,8 @@ def describe_environment(inner: Any) -> tuple[str, dict[str, Any]]:
     below = gym.spec(env_id).kwargs  # of which None is another one
     own = {name: x for name, x in dict(given or {}).items() if x is not None or name in below}
     own = {name: value for name, value in own.items() if name not in OF_THE_CALL}
+    if inner.core.commands.base is not None:  # which a wrapper may have set
+        own["action"] = describe_terms("action", inner.core.settings["action"])
     judge = _find_own_detector(inner, own.get("detector"))
     if judge is not None:
         own["detector"] = spec_of_judge(judge)

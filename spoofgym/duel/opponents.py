@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 from ..detectors import Calibrated, Detector, detector_in_world
 from ..detectors.learned import PolicyDetector
 from ..detectors.pool import PooledDetector, draw_members, normalize_weights
+from ..envs.context import apply_pace
 from ..envs.observer import Observer
 from ..envs.options import checked_action
-from ..envs.spoofer_binding import apply_pace, bound_spoofer, warn_of_headings
+from ..envs.spoofer_binding import bound_spoofer, warn_of_headings
 from ..envs.terms.action import CommandMap, Decisions
 from ..envs.terms.observation import Snapshot
 from ..simulation.setup import Setup
 from ..spoofers import Spoofer, make_spoofer
+from ..spoofers.build import SpooferSpec
 
 FloatArray = NDArray[np.float64]
 DetectorSpec = str | Mapping[str, Any] | Detector
-SpooferSpec = str | Mapping[str, Any] | Spoofer
 
 
 def list_opponents(pool: Any, kind: type) -> list[Any]:

@@ -25,11 +25,11 @@ from ..policies.card import DetectorCard
 from ..policies.load import card_path
 from ..simulation.monitors import FloatArray, PastPositions
 from ..simulation.tight import TightlyCoupledSetup
+from ..spoofers.build import SpooferSpec
 from .duel import SETTINGS, default_opponent, make_duel, refuse_to_draw, with_world
 from .opponents import (
     DetectorSpec,
     SpooferPool,
-    SpooferSpec,
     label_opponent,
     list_opponents,
     pooled_detector,

@@ -18,6 +18,7 @@ from ..simulation.monitors import EpochLog, PassiveDetectors, needed_monitors
 from ..simulation.setup import Setup
 from ..simulation.simulator import FixedChoices, Rngs, Rows, run_serially
 from ._kernels import ALARM, COST, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
+from .context import bind_base
 from .observer import Observer
 from .scoring import (
     MARK_NAMES,
@@ -211,6 +212,8 @@ class SpoofCore:
         self._all_rows = np.arange(receivers)
         self.action_names = self.commands.names
         self.commands.aim(self.heading_rad)
+        self._seen = NOTHING_SEEN.reshape(receivers, 0)
+        self._base = bind_base(self.setup, receivers, self.observer, self.commands)
         self.score = DisplacementScore(receivers, setup.steps, setup.hold)
         self.listeners: list[Listener] = []
         self._done: _DoneRows | None = None
@@ -262,7 +265,7 @@ class SpoofCore:
         self._reports_more = captures or twins or watched
         self._needs_arrays = (
             self._reports_more or self._has_ends or not self._compiled or self.setup.repeat > 1
-        )
+        ) or self._base is not None
 
     def copy_with(self, setup: Setup | None = None, **changes: Any) -> SpoofCore:
         """A new core, not started yet, with another setup or other arguments, without listeners."""
@@ -278,7 +281,8 @@ class SpoofCore:
         return Snapshot(self.setup, engine.simulator, self.score.step_count, engine.twin)
 
     def observe(self) -> NDArray[np.float32]:
-        return self.observer.observe(self.snapshot())
+        self._seen = self.observer.observe(self.snapshot())
+        return self._seen
 
     def reset(
         self, rngs: Rngs, rows: Rows | None = None, given: FixedChoices | None = None
@@ -290,6 +294,8 @@ class SpoofCore:
             self._done.drop(where)
         self._decisions.forget(where)
         self.commands.aim(self.heading_rad)
+        if self._base is not None:
+            self._base.spoofer.reset(np.isin(self._all_rows, where))
         if self.engine.twin is None:
             self.set_origin(where)
         if self._passive is not None:
@@ -317,12 +323,14 @@ class SpoofCore:
         """One decision of all receivers, (B, k) in [-1, 1]; its result and (B, o) observed."""
         if self._passive is not None:
             self._passive_memory["alarmed"][:] = False
+        if self._base is not None:
+            action = self._base.add(self._seen, action)
         if self.setup.repeat > 1:
             result = self._decide(action)
             observation = self.observe()
         else:
             result = StepResult(self._fused.layout)
-            observation = self._epoch(action, result)
+            observation = self._seen = self._epoch(action, result)
         if self._reports_more:
             if self.setup.attack.capture is not None:
                 result.extra["captured_channels"] = self.engine.simulator.captured_channels()

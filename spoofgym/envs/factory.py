@@ -18,7 +18,8 @@ from ..simulation.setup import Setup
 from ..simulation.snapshot import SnapshotSetup
 from ..simulation.tight import TightlyCoupledSetup
 from .core import EpochSpec, SpoofCore, WatchSpec, make_watch, merge_epoch_specs
-from .terms import EndSpec, make_terms
+from .terms import EndSpec, describe_terms, make_terms
+from .terms.action import Residual
 from .terms.termination import AtAlarm
 
 S = TypeVar("S", bound=Setup)
@@ -114,10 +115,12 @@ def compose(
     watch: WatchSpec = (),
     end: EndSpec = (),
     epoch: EpochSpec = False,
+    base: Any = None,
+    scale: float | None = None,
 ) -> None:
     """Set the detector, at a rate of false alarms, add passive detectors, end terms and fields of
-    logged epochs, of an environment not reset yet. A detector that its id brings is replaced, and
-    so is ``"never"``."""
+    logged epochs, or a base that actions correct, of an environment not reset yet. A detector that
+    its id brings is replaced, and so is ``"never"``."""
     inner = composable(env)
     if inner.is_started:
         raise RuntimeError("an episode has started: compose the environment before reset()")
@@ -140,6 +143,10 @@ def compose(
         changes["end"] = (*present, *make_terms("end", end))
     if epoch is not False:
         changes["epoch"] = merge_epoch_specs(before.settings["epoch"], epoch, setup)
+    if base is not None:
+        present = before.settings["action"]
+        own = None if present is None else describe_terms("action", present)
+        changes["action"] = Residual(base, scale, own)
     core = before.copy_with(setup, **changes)
     core.listeners = before.listeners
     inner.adopt(core)

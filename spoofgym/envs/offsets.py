@@ -50,7 +50,7 @@ def offsets_action(env: Any, wanted: Mapping[str, float] | ArrayLike) -> FloatAr
     inner = composable(env, unset=False)
     core = inner.core
     attack = core.setup.attack
-    if not (isinstance(attack, Offsets) and core.commands.is_plain):
+    if not (isinstance(attack, Offsets) and core.commands.is_plain) or core.commands.base:
         raise ValueError(
             "actions in metres need an environment with `control` 'rate' or 'offset' and no own "
             f"`action`, got {core.setup.title!r} with {', '.join(core.action_names)}"

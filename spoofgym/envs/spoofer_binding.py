@@ -7,7 +7,7 @@ import inspect
 import json
 import shlex
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from numbers import Real
 from typing import Any
@@ -24,12 +24,13 @@ from ..spoofers import (
     make_spoofer,
 )
 from ..spoofers.base import TARGET, has_heading
-from ..spoofers.build import card_behind
-from ..spoofers.learned import refuse_changes
+from ..spoofers.build import SpooferSpec, card_behind
+from ..spoofers.learned import LearnedSpoofer, refuse_changes
+from .context import apply_pace, check_fit, spoofer_context
 from .core import SpoofCore
 from .factory import VICTIMS, composable, find_environment, list_parameters, make_setup
 from .observer import Observer
-from .terms import make_terms
+from .terms import describe_terms, make_terms
 from .terms.action import ActionTerm, CommandMap, default_action
 from .terms.observation import REPORTED, default_terms
 
@@ -43,9 +44,7 @@ SHAPING = (
 """Settings of a world on which it depends what a spoofer observes and how it acts."""
 
 
-def attach(
-    spoofer: Spoofer | Mapping[str, Any] | str, env: Any, *, transfer: bool = False
-) -> Spoofer:
+def attach(spoofer: SpooferSpec, env: Any, *, transfer: bool = False) -> Spoofer:
     """Spoofer that is ready to command the receivers of an environment.
 
     One that has a card, a learned or a shipped one, is compared with the environment first.
@@ -89,7 +88,7 @@ def attach(
     card = card_behind(made)
     if card is not None:
         refuse_changes(env, repr(card.name))
-        found = misfits = card.diff_context(context)
+        found = misfits = card.diff_context(context) + _diff_bases(card, core)
         if not transfer:
             made_for = setup_of_card(card)
             with suppress(ValueError):  # without a calibration there is no such environment, either
@@ -103,13 +102,12 @@ def attach(
             raise ValueError(
                 f"{card.name!r} was made for another environment{hint}:\n  " + "\n  ".join(found)
             )
-    if apply_pace(core.setup, made).repeat != core.setup.repeat:
+    elif core.commands.base is not None and not isinstance(made, LearnedSpoofer):
         raise ValueError(
-            f"{type(made).__name__} decides every {made.decision_interval_s:g} s, and this "
-            f"environment asks it every {core.setup.interval_s:g} s: make it with "
-            f"decision_interval_s={made.decision_interval_s:g}, between={made.between!r}"
+            f"actions here are corrections of the base {core.commands.base.spoofer!r}, and "
+            f"{made!r} commands an attack of its own: attach it to the environment without the base"
         )
-    _check_heading(made, core)
+    check_fit(made, core.commands, core.setup)
     made.bind(context)
     made.reset()
     if not core.commands.along_target:
@@ -117,19 +115,12 @@ def attach(
     return made
 
 
-def _check_heading(spoofer: Spoofer, core: SpoofCore) -> None:
-    if not (core.commands.along_target and isinstance(spoofer, ScriptedSpoofer)):
-        return
-    target, own = core.setup.target_heading_deg, spoofer.heading_deg
-    if isinstance(own, str) or (isinstance(target, Real) and (own - target) % 360.0 == 0.0):
-        return
-    drawn = "drawn for every episode" if isinstance(target, str) else f"{target:g}"
-    raise ValueError(
-        f"{type(spoofer).__name__} has `heading_deg` = {own:g}, but the environment's actions are "
-        f"along the target direction, which is {drawn}: give it heading_deg='{TARGET}', or the "
-        "environment an action of two dimensions, such as action={'name': 'rate-setpoint', "
-        "'dimensions': 2}"
-    )
+def _diff_bases(card: SpooferCard, core: SpoofCore) -> list[str]:
+    """Where the base that a policy corrects differs from that of an environment."""
+    if core.commands.base is None:
+        return []
+    here = {"action": describe_terms("action", core.settings["action"])}
+    return format_card_diff({"action": card.env_kwargs.get("action")}, here)
 
 
 def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
@@ -165,28 +156,6 @@ def monitors_for(spoofers: Iterable[Spoofer], setup: Setup) -> list[Monitor]:
     return needed_monitors(term for each in known for term in default_terms(setup, each))
 
 
-def apply_pace(setup: Setup, spoofer: Spoofer) -> Setup:
-    """The same world, in which decisions are due as a spoofer takes them."""
-    every, between = spoofer.decision_interval_s, spoofer.between
-    if every is None and between == "hold":
-        return setup
-    name = spoofer.label or type(spoofer).__name__
-    try:
-        own = setup.copy_with(pace=(every, between))
-    except (TypeError, ValueError) as error:
-        given = f"decision_interval_s={every!r} and between={between!r}"
-        raise ValueError(f"{name} decides by {given}: {error}") from error
-    if setup.repeat == 1:
-        return own
-    if (own.repeat, own.between) != (setup.repeat, setup.between):
-        raise ValueError(
-            f"{name} decides every {every:g} s ({between} between), but this world every "
-            f"{setup.decision_interval_s:g} s ({setup.between} between); without a "
-            "`decision_interval_s` of its own any spoofer can decide as it does"
-        )
-    return setup
-
-
 def get_tuning_range(spoofer: Spoofer, setup: Setup) -> tuple[float, float]:
     return type(spoofer).tuning_range(spoofer_context(apply_pace(setup, spoofer)))
 
@@ -207,7 +176,7 @@ def bound_spoofer(
     commands = make_command_map(spoofer, setup)
     terms = default_terms(setup, spoofer.knowledge, along_target=commands.along_target)
     observer = Observer(terms, setup)
-    context = spoofer_context(setup, receivers, observer, commands)
+    context = spoofer_context(setup, receivers, observer, commands)._replace(base=commands.base)
     card = card_behind(spoofer)
     found = [] if card is None else card.diff_context(context)
     if card is not None and found:
@@ -216,48 +185,6 @@ def bound_spoofer(
             f"{suggest_settings(card, setup)}"
         )
     return context, observer, commands
-
-
-def spoofer_context(
-    setup: Setup,
-    receivers: int = 1,
-    observer: Observer | None = None,
-    commands: CommandMap | None = None,
-) -> SpooferContext:
-    """What a spoofer knows of an attack, of what it observes by an `observer`, and its `commands`.
-    By default it commands every element of the attack, as it is."""
-    attack = setup.attack
-    setpoint = None if commands is None else commands.setpoint_mps
-    if not isinstance(attack.rate_limit_mps, Real):
-        raise ValueError(
-            f"a spoofer needs one limit of the rate for all axes, got {attack.rate_limit_mps}"
-        )
-    context = SpooferContext(
-        receivers=receivers,
-        # of its decisions: a ramp that is held for n epochs must not get to n times its rate
-        interval_s=setup.interval_s * setup.repeat,
-        steps=setup.steps // setup.repeat,
-        control=attack.control,
-        acceleration_limit_mps2=attack.acceleration_limit_mps2,
-        rate_limit_mps=float(attack.rate_limit_mps),
-        action_names=setup.action_names if commands is None else commands.names,
-    )
-    if attack.kind == "offsets":
-        by_rate = attack.control == "rate"
-        unit = {"control": "setpoint", "setpoint_mps": attack.unit_scale}
-        context = context._replace(**unit if by_rate else {})
-    elif setpoint is not None:
-        # an attack by rate takes the set-point at once: it is the unit of its rates
-        changed = {"control": "setpoint", "setpoint_mps": setpoint}
-        by_rate = attack.control == "rate"
-        context = context._replace(**{"rate_limit_mps": setpoint} if by_rate else changed)
-    if observer is None:
-        return context
-    return context._replace(
-        observation_names=observer.names,
-        observation_low=tuple(observer.low.tolist()),
-        observation_high=tuple(observer.high.tolist()),
-    )
 
 
 def suggest_settings(card: SpooferCard, setup: Setup) -> str:

@@ -23,7 +23,7 @@ except ImportError as error:
     raise name_extra("spoofgym.sb3", error) from error
 
 from .callbacks import RecordEpochs, ScoreCallback
-from .vec_env import DetectorWrapper, SpoofVecEnv
+from .vec_env import DetectorWrapper, ResidualAction, SpoofVecEnv
 from .wrappers import AlarmRecorder, PassiveDetector
 
 __all__ = [
@@ -31,6 +31,7 @@ __all__ = [
     "DetectorWrapper",
     "PassiveDetector",
     "RecordEpochs",
+    "ResidualAction",
     "ScoreCallback",
     "SpoofVecEnv",
 ]

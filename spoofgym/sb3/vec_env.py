@@ -33,6 +33,7 @@ from ..envs.options import (
 from ..envs.scoring import PlainResult, StepResult
 from ..envs.terms import RewardSpec, make_terms
 from ..envs.wrappers.outside import warn_uncalibrated
+from ..spoofers.build import SpooferSpec
 
 AT_THE_END = (
     "undetected_displacement_m",
@@ -306,7 +307,19 @@ def select_receiver_info(arrays: Mapping[str, Array], row: int) -> dict[str, Any
 SpoofVecEnv.__signature__ = expand_signature(SpoofVecEnv)
 
 
-class DetectorWrapper(VecEnvWrapper):
+class _Composed(VecEnvWrapper):
+    """Something that is set in the environment, which steps as before."""
+
+    def reset(self) -> Any:
+        """Start a new episode in every receiver."""
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        """Run one epoch."""
+        return self.venv.step_wait()
+
+
+class DetectorWrapper(_Composed):
     """Sets the detector in the loop, as `spoofgym.wrappers.DetectorWrapper` does.
 
     Parameters
@@ -329,10 +342,18 @@ class DetectorWrapper(VecEnvWrapper):
         inner.env_kwargs["detector"] = {**spec, **rate} if isinstance(spec, Mapping) else spec
         super().__init__(venv)
 
-    def reset(self) -> Any:
-        """Start a new episode in every receiver."""
-        return self.venv.reset()
 
-    def step_wait(self) -> Any:
-        """Run one epoch."""
-        return self.venv.step_wait()
+class ResidualAction(_Composed):
+    """Makes actions corrections of a base attack, as `spoofgym.wrappers.ResidualAction` does.
+
+    Parameters
+    ----------
+    venv : SpoofVecEnv
+        Of the spoofer's side without a pool, wrapped or not, not reset yet.
+    spoofer, scale
+        As there.
+    """
+
+    def __init__(self, venv: VecEnv, spoofer: SpooferSpec, scale: float | None = None) -> None:
+        compose(venv, base=spoofer, scale=scale)
+        super().__init__(venv)

@@ -54,6 +54,8 @@ class SpooferContext(NamedTuple):
         (o,) bounds of every element; empty where they are not known.
     setpoint_mps : float or None
         Rate that an action of 1 requests, with control by set-point.
+    base : BaseAttack or None
+        What the actions of a policy are added to, where it plays that itself.
     """
 
     receivers: int
@@ -67,6 +69,7 @@ class SpooferContext(NamedTuple):
     observation_low: tuple[float, ...] = ()
     observation_high: tuple[float, ...] = ()
     setpoint_mps: float | None = None
+    base: Any = None
 
     @property
     def largest_rate(self) -> tuple[str, float]:

@@ -35,6 +35,10 @@ SPOOFERS: dict[str, type[Spoofer]] = {
 """Spoofers by name."""
 
 
+SpooferSpec = str | Mapping[str, Any] | Spoofer
+"""What `make_spoofer` takes."""
+
+
 def resolve_spec(spec: Any) -> Any:
     """Registered name and settings behind the name of a shipped spoofer or of an ONNX file; any
     other spec as it is."""
@@ -57,7 +61,7 @@ def resolve_spec(spec: Any) -> Any:
     return {"name": card.kind, "file": name, "sha256": card.file.sha256}
 
 
-def make_spoofer(spec: str | Mapping[str, Any] | Spoofer) -> Spoofer:
+def make_spoofer(spec: SpooferSpec) -> Spoofer:
     """Spoofer by name, by name and settings, by file, or a copy of an object.
 
     Parameters

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Self
 
@@ -17,10 +18,37 @@ from ..policies.card import Space, SpooferCard, diff_spaces
 from ..policies.contract import NotFinite, clip_action
 from ..policies.load import load_policy
 from .base import KNOWLEDGE, FloatArray, Spoofer, SpooferContext
+from .residual import BoundBase
+
+
+class LearnedSpoofer(Spoofer):
+    """A policy without memory, added to the base attack of its context, if there is one."""
+
+    _base: BoundBase | None = None
+
+    def bind(self, context: SpooferContext) -> None:
+        super().bind(context)
+        self._base = None if context.base is None else context.base.bind(context)
+        if self._base is not None:
+            self.memory = self._base.spoofer.memory
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        super().reset(mask)
+        if self._base is not None:
+            self._base.spoofer.reset(mask)
+
+    def act(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Command the coming epoch: (B, a) in [-1, 1]."""
+        given = self._decide(observation)
+        return given if self._base is None else self._base.add(observation, given)
+
+    @abstractmethod
+    def _decide(self, observation: NDArray[np.float32]) -> FloatArray:
+        """What the policy itself says: (B, a) in [-1, 1]."""
 
 
 @settings_record
-class OnnxPolicy(Spoofer):
+class OnnxPolicy(LearnedSpoofer):
     """Acts as a network in an ONNX file does; the card of the same name is in the same folder.
 
     Attributes
@@ -57,7 +85,7 @@ class OnnxPolicy(Spoofer):
             raise ValueError(f"{self.file} does not fit this attack: {'; '.join(found)}")
         super().bind(context)
 
-    def act(self, observation: NDArray[np.float32]) -> FloatArray:
+    def _decide(self, observation: NDArray[np.float32]) -> FloatArray:
         return self.model.act(observation)
 
 
@@ -68,7 +96,7 @@ FORMS = (
 )
 
 
-class ModelPolicy(Spoofer):
+class ModelPolicy(LearnedSpoofer):
     """A spoofer that takes the deterministic action of a model.
 
     The model is neither copied nor changed, except that a network is put in evaluation mode.
@@ -104,7 +132,7 @@ class ModelPolicy(Spoofer):
                 raise ValueError(f"{self.label} does not fit this attack: {lines}")
         super().bind(context)
 
-    def act(self, observation: NDArray[np.float32]) -> FloatArray:
+    def _decide(self, observation: NDArray[np.float32]) -> FloatArray:
         names = self.context.action_names
         given = self._function(observation), len(observation), len(names)
         return clip_action(*given, str(self.label), names)
@@ -114,6 +142,7 @@ class ModelPolicy(Spoofer):
         twin.__dict__.update(self.__dict__)
         twin.__dict__.pop("context", None)
         twin.__dict__.pop("memory", None)
+        twin.__dict__.pop("_base", None)
         return twin
 
 

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from ..attacks import Attack
 from ..core.registry import is_number
+from ..envs.context import apply_pace
 from ..envs.observer import Observer
-from ..envs.spoofer_binding import apply_pace, bound_spoofer, setup_of_card
+from ..envs.spoofer_binding import bound_spoofer, setup_of_card
 from ..envs.terms.action import CommandMap, Decisions
 from ..simulation import Engine, Setup, TightlyCoupledSetup, Timeline
 from ..spoofers import KNOWLEDGE, Spoofer, SpooferContext, make_spoofer

@@ -8,6 +8,7 @@ from ..envs.wrappers import (
     EpochInfo,
     PassiveDetector,
     RecordEpochs,
+    ResidualAction,
     StealthBudget,
     WatchWrapper,
 )
@@ -23,6 +24,7 @@ __all__ = [
     "EpochInfo",
     "PassiveDetector",
     "RecordEpochs",
+    "ResidualAction",
     "StealthBudget",
     "WatchWrapper",
     "WrappedScore",

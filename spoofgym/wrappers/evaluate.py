@@ -27,12 +27,12 @@ from ..detectors.calibration_file import (
     run_probability,
 )
 from ..duel.opponents import label_opponent
+from ..spoofers.build import SpooferSpec
 from .streams import (
     BLOCK,
     FloatArray,
     Reading,
     Recorder,
-    SpooferSpec,
     Stream,
     play_streams,
     replaced_bottom,

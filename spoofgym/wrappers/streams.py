@@ -21,12 +21,11 @@ from ..envs.core import SpoofCore
 from ..envs.env import CoreVectorEnv
 from ..envs.factory import composable
 from ..receiver.epoch import Epoch
-from ..spoofers import Spoofer
+from ..spoofers.build import SpooferSpec
 
 FloatArray = NDArray[np.float64]
 BLOCK = 16  # runs that are recorded together
 STREAM = 0xE7  # key of the seeds, apart from those of the benchmark
-SpooferSpec = str | Mapping[str, Any] | Spoofer
 
 
 class Stream(NamedTuple):

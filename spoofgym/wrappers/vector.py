@@ -16,6 +16,7 @@ DetectorWrapper = twins.DetectorWrapper
 EpochInfo = twins.EpochInfo
 PassiveDetector = twins.PassiveDetector
 RecordEpochs = twins.RecordEpochs
+ResidualAction = twins.ResidualAction
 StealthBudget = twins.StealthBudget
 WatchWrapper = twins.WatchWrapper
 

@@ -10,7 +10,7 @@ from onnx import numpy_helper
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.envs import Observer, default_terms
-from spoofgym.envs.spoofer_binding import spoofer_context
+from spoofgym.envs.context import spoofer_context
 from spoofgym.policies import zoo
 from spoofgym.policies.card import SpooferCard, describe_context
 from spoofgym.simulation import Timeline

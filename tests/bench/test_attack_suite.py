@@ -21,8 +21,8 @@ from spoofgym.bench.search.attack_suite import (
     list_suite_attacks,
     suite_digest,
 )
+from spoofgym.envs.context import spoofer_context
 from spoofgym.envs.factory import make_setup
-from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.spoofers import SpooferContext, make_spoofer
 from spoofgym.spoofers.base import sees_statistics
 from spoofgym.spoofers.scaled import LARGEST, SMALLEST

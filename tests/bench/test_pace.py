@@ -7,7 +7,8 @@ import pytest
 from spoofgym.bench.report.figures import frame_count, play_frames
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_spoofer
-from spoofgym.envs.spoofer_binding import apply_pace, attach, bound_spoofer, get_tuning_range
+from spoofgym.envs.context import apply_pace
+from spoofgym.envs.spoofer_binding import attach, bound_spoofer, get_tuning_range
 from spoofgym.spoofers import OnnxPolicy, make_spoofer
 from spoofgym.spoofers.scaled import Scaled
 

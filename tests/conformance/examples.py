@@ -15,7 +15,7 @@ from spoofgym.bench.runs.world import World
 from spoofgym.data.ephemerides import BroadcastConstellation, Ephemerides
 from spoofgym.detectors import Calibrated, LearnedDetector, SnapshotChi2
 from spoofgym.detectors.learned import PolicyDetector
-from spoofgym.envs.terms.action import Channels
+from spoofgym.envs.terms.action import Channels, Residual
 from spoofgym.envs.terms.termination import AtDisplacement, AtStealthBudget, AtSteps
 from spoofgym.policies.contract import FunctionPolicy
 from spoofgym.spoofers.learned import OnnxPolicy
@@ -60,6 +60,7 @@ EXAMPLES: dict[type, Callable[[], Any]] = {
     LearnedDetector: one_file,
     PolicyDetector: lambda: PolicyDetector(policy=FunctionPolicy(abs)),
     Channels: lambda: Channels(("north",)),
+    Residual: lambda: Residual({"name": "ramp", "rate_mps": 0.3}),
     AtDisplacement: lambda: AtDisplacement(50.0),
     AtStealthBudget: lambda: AtStealthBudget(2.0),
     AtSteps: lambda: AtSteps(7),

@@ -11,6 +11,7 @@ TWINS = {
     "EpochInfo",
     "PassiveDetector",
     "RecordEpochs",
+    "ResidualAction",
     "StealthBudget",
     "WatchWrapper",
 }

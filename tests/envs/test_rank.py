@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from spoofgym.envs import SpoofCore
-from spoofgym.envs.spoofer_binding import spoofer_context
+from spoofgym.envs.context import spoofer_context
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.spoofers import make_spoofer
 

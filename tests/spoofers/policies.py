@@ -8,8 +8,8 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from spoofgym.envs.context import spoofer_context
 from spoofgym.envs.observer import Observer
-from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.envs.terms.observation import default_terms
 from spoofgym.policies.card import SpooferCard, describe_context
 from spoofgym.policies.trial import trust

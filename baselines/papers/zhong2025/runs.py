@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from baselines.paper_attacks import PAPER_ATTACKS
 from spoofgym.detectors import Detector, DetectorContext, Verdict, make_detector
-from spoofgym.envs.spoofer_binding import spoofer_context
+from spoofgym.envs.context import spoofer_context
 from spoofgym.receiver import TightlyCoupled
 from spoofgym.receiver.epoch import Epoch
 from spoofgym.receiver.tight import NoiseModel

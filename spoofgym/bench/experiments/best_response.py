@@ -23,7 +23,7 @@ import numpy as np
 
 from ...core.declared import setting, settings_record
 from ...core.settings import compute_digest
-from ...envs.spoofer_binding import spoofer_context
+from ...envs.context import spoofer_context
 from ...limits.bounds import draw_worlds, zero_alarm_bounds
 from ...limits.response import NotReplayable, Replay, check_replayable
 from ...policies.card import DETECTOR, SPOOFER

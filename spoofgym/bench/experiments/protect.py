@@ -20,7 +20,7 @@ from ...core.registry import whole_number
 from ...core.settings import compute_digest, describe, outside_sources
 from ...detectors import Calibrated, Detector, LearnedDetector, detector_in_world
 from ...detectors.calibrated import list_factors, resolve_thresholds
-from ...envs.spoofer_binding import spoofer_context
+from ...envs.context import spoofer_context
 from ...simulation.setup import Setup
 from ...simulation.simulator import weighs
 from ...tasks import (

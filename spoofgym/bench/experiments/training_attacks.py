@@ -16,14 +16,13 @@ import numpy as np
 from ...attacks import Meaconer
 from ...attacks.equipment import QUIET, CounterfeitErrors
 from ...core.registry import Spec
+from ...envs.context import apply_pace, spoofer_context
 from ...envs.observer import Observer
 from ...envs.options import checked_action
 from ...envs.spoofer_binding import (
-    apply_pace,
     bound_spoofer,
     make_command_map,
     monitors_for,
-    spoofer_context,
 )
 from ...envs.terms.action import CommandMap, Decisions
 from ...envs.terms.observation import default_terms

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from ...core.memory import Memory
 from ...detectors import Detector
 from ...detectors.base import has_protection_level, judge_epoch
+from ...envs.context import apply_pace
 from ...envs.observer import Observer
-from ...envs.spoofer_binding import apply_pace, bound_spoofer
+from ...envs.spoofer_binding import bound_spoofer
 from ...envs.terms.action import CommandMap, Decisions
 from ...simulation.engine import Engine
 from ...simulation.monitors import Monitor, Monitored, PassiveDetectors

@@ -34,7 +34,7 @@ from ...attacks import make_attack
 from ...core.declared import setting, settings_record
 from ...core.registry import Spec
 from ...core.settings import compute_digest
-from ...envs.spoofer_binding import spoofer_context
+from ...envs.context import spoofer_context
 from ...simulation.setup import Setup
 from ...spoofers import SPOOFERS, SpooferContext, make_spoofer
 from ...spoofers.scaled import AMPLITUDE, LARGEST, SMALLEST

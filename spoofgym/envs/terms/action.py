@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from ...core.declared import setting, settings_record
 from ...simulation.domain import FloatArray
 from ...simulation.setup import Setup
+from ...spoofers.base import Spoofer
+from ...spoofers.build import make_spoofer, spec_of_spoofer
+from ...spoofers.residual import SUFFIX, BaseAttack
 from .._kernels import follow_rate
 
 
@@ -209,6 +212,53 @@ class RateSetpoint:
         return Channels(("north", "east")).matrix(setup, heading_rad)
 
 
+@settings_record(frozen=True)
+class Residual:
+    """A correction of the attack of a spoofer, whose actions it is added to.
+
+    An action of 0 plays that attack as it is.  It stands alone.
+    """
+
+    described_as = "Residual"
+    spoofer: Any = setting(
+        help="The base: a name, a name with settings, an ``.onnx`` file or an object, as "
+        "`make_spoofer` takes it, which observes no more than the environment shows."
+    )
+    scale: float | None = setting(
+        default=None,
+        above=0.0,
+        most=2.0,
+        help="What a correction of 1 adds, in units of the action; None for 0.4 of the largest "
+        "action of the base over an episode, for one that looks at nothing but a direction.",
+    )
+    action: Any = setting(
+        default=None,
+        help="Action terms that base and correction are of; None for the environment's own.",
+    )
+
+    def __post_init__(self) -> None:
+        made = self.make_base().spoofer  # or what is wrong with it
+        if isinstance(self.spoofer, Spoofer):
+            object.__setattr__(self, "spoofer", spec_of_spoofer(made))
+
+    def make_base(self) -> BaseAttack:
+        """The base, not bound yet."""
+        return BaseAttack(make_spoofer(self.spoofer), self.scale)
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        return CommandMap([self], setup).names
+
+    def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
+        terms = self.list_terms(setup)
+        return np.concatenate([each.matrix(setup, heading_rad) for each in terms], axis=2)
+
+    def list_terms(self, setup: Setup) -> tuple[ActionTerm, ...]:
+        """Terms that base and correction are of."""
+        from . import make_terms  # which lists this one
+
+        return default_action(setup) if self.action is None else make_terms("action", self.action)
+
+
 ACTION_TERMS: dict[str, type[ActionTerm]] = {
     "rate-setpoint": RateSetpoint,
     "full-command": FullCommand,
@@ -216,6 +266,7 @@ ACTION_TERMS: dict[str, type[ActionTerm]] = {
     "across-target": AcrossTarget,
     "channels": Channels,
     "common-offset": CommonOffset,
+    "residual": Residual,
 }
 
 
@@ -234,18 +285,22 @@ class CommandMap:
     """Commands of a list of terms, in the order of the action: `names` (k,) of its elements.
 
     `is_plain`: an action is the command; `along_target`: all of it is along the target direction;
-    `setpoint_mps`: rate that an action of 1 requests, None without a set-point.
+    `setpoint_mps`: rate that an action of 1 requests, None without a set-point; `base`: attack that
+    actions are to be added to before they are given, with the names of corrections.
     """
 
     def __init__(self, terms: Sequence[ActionTerm], setup: Setup) -> None:
         if not terms:
             raise ValueError("an action needs at least one term")
+        self.base: BaseAttack | None = None
+        if any(isinstance(term, Residual) for term in terms):
+            terms = self._take_base(terms, setup)
         self.setup, self.terms = setup, tuple(terms)
         names = [name for term in terms for name in term.names(setup)]
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
             raise ValueError(f"two action terms have the same command: {', '.join(twice)}")
-        self.names = tuple(names)
+        self.names = tuple(f"{name}{SUFFIX}" for name in names) if self.base else tuple(names)
         first = self.terms[0]
         alone = len(self.terms) == 1
         if not alone and any(isinstance(term, RateSetpoint) for term in terms):
@@ -261,6 +316,14 @@ class CommandMap:
             self._rules = _following(setup, self.setpoint_mps)
         self._matrix = np.zeros((0, 0, 0))
         self._out = np.zeros((0, 0))
+
+    def _take_base(self, terms: Sequence[ActionTerm], setup: Setup) -> Sequence[ActionTerm]:
+        """Keep the base of a correction; the terms that base and correction are of."""
+        first = terms[0]
+        if len(terms) > 1 or not isinstance(first, Residual):
+            raise ValueError("a correction stands alone: give other terms as its `action`")
+        self.base = first.make_base()
+        return first.list_terms(setup)
 
     def aim(self, heading_rad: FloatArray) -> None:
         """Take the directions (B,) of the running episodes, clockwise from north."""

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from ...core.files import remove_stale_parts, write_file
 from ...detectors import Verdict
 from ...detectors.build import DetectorSpec
+from ...spoofers.build import SpooferSpec
 from ..core import EpochSpec, SpoofCore, WatchSpec
 from ..factory import composable, compose
 from ..terms.termination import AtStealthBudget, EpochState
@@ -46,6 +47,7 @@ __all__ = [
     "EpochInfo",
     "PassiveDetector",
     "RecordEpochs",
+    "ResidualAction",
     "StealthBudget",
     "WatchWrapper",
 ]
@@ -296,6 +298,48 @@ class PassiveDetector(_Base, RecordConstructorArgs):
             name: [info[name]] for name in ("epochs", "settling_epochs") if name in info
         }
         return first_values(self.judge.judge(epochs, np.array([fresh])))
+
+
+class ResidualAction(_Base, RecordConstructorArgs):
+    r"""Makes actions corrections of an attack that a spoofer plays, as the term `Residual` does.
+
+    .. math:: a = \mathrm{clip}(a_{base} + s\, c, -1, 1)
+
+    with the correction c of a policy: at 0 the environment plays the base to the bit.  So a learner
+    starts from the best attack that is known.  A policy keeps its base in scores and on its card.
+
+    Parameters
+    ----------
+    env : Env
+        A `SpoofEnv`, wrapped or not, not reset yet.
+    spoofer : str, mapping or Spoofer
+        The base, as `make_spoofer` takes it; ``"amplitude"`` fixes how far it goes.
+    scale : float, optional
+        What a correction of 1 adds, s, in units of the action; by default 0.4 of the largest action
+        of a base that is blind.
+
+    Raises
+    ------
+    ValueError
+        When the base does not fit the environment, decides at another pace, or observes more.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import spoofgym
+    >>> from spoofgym.wrappers import ResidualAction
+    >>> env = gym.make("spoofgym/Zhong2025-v0", knowledge="oracle")
+    >>> env = ResidualAction(env, {"name": "ramp", "rate_mps": 0.3})
+    >>> env.unwrapped.action_names
+    ('along_target_setpoint_correction',)
+    >>> env.close()
+    """
+
+    def __init__(self, env: Env, spoofer: SpooferSpec, scale: float | None = None) -> None:
+        RecordConstructorArgs.__init__(self, spoofer=spoofer, scale=scale)
+        require_single(env, ResidualAction)
+        gym.Wrapper.__init__(self, env)
+        compose(env, base=spoofer, scale=scale)
 
 
 class WatchWrapper(_Base, RecordConstructorArgs):

@@ -14,6 +14,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
 from ...detectors.build import DetectorSpec
+from ...spoofers.build import SpooferSpec
 from ..core import EpochSpec, WatchSpec
 from ..factory import composable, compose
 from ..options import Array, read_fresh
@@ -112,6 +113,14 @@ class PassiveDetector(Wrapper):
             terminated = terminated | alarm
         self._over = terminated | truncated
         return observation, reward, terminated, truncated, info
+
+
+class ResidualAction(Wrapper):
+    """As `wrappers.ResidualAction`, of all receivers."""
+
+    def __init__(self, env: Envs, spoofer: SpooferSpec, scale: float | None = None) -> None:
+        super().__init__(env)
+        compose(env, base=spoofer, scale=scale)
 
 
 class WatchWrapper(Wrapper):

@@ -19,6 +19,7 @@ from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement
 from ..support import LIVE, VICTIMS, AlarmAt, single, vector, victim, victims
 
 NEEDED = {"channels": {"ids": ["S05"]}, "at-displacement": {"limit_m": 5.0}}
+NEEDED |= {"residual": {"spoofer": {"name": "ramp", "rate_mps": 0.3}}}
 NEEDED |= {"at-stealth-budget": {"budget_nats": 2.0}, "at-steps": {"steps": 4}}
 
 

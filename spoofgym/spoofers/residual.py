@@ -1,0 +1,96 @@
+"""The attack that a policy's actions are added to, so that it starts from the best one known."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..policies.card import SpooferCard
+from .base import TARGET_NAMES, FloatArray, Spoofer, SpooferContext
+
+SHARE = 0.4
+"""Scale of corrections, as a part of the largest action of a base over an episode."""
+SUFFIX = "_correction"
+"""What the name of an action's element ends in that is added to a base."""
+
+
+class BaseAttack(NamedTuple):
+    """A spoofer that is not bound yet, and what a correction of 1 adds to its actions; None for
+    `SHARE` of the largest that it takes."""
+
+    spoofer: Spoofer
+    scale: float | None
+
+    def bind(self, context: SpooferContext) -> BoundBase:
+        """The base for the receivers of a policy's context, whose actions are corrections."""
+        names = tuple(name.removesuffix(SUFFIX) for name in context.action_names)
+        own = context._replace(action_names=names, base=None)
+        seen, card = context.observation_names, getattr(self.spoofer, "card", None)
+        columns = slice(None)
+        if isinstance(card, SpooferCard):
+            wanted = () if card.observation is None else card.observation.names
+            own, columns = _narrow(own, wanted, seen, card.name)
+            if found := card.diff_context(own):
+                raise ValueError(f"the base {card.name!r} does not fit: {'; '.join(found)}")
+        scale = self.scale
+        if scale is None:
+            scale = SHARE * self._find_largest(own)
+        self.spoofer.bind(own)
+        self.spoofer.reset()
+        return BoundBase(self.spoofer, columns, scale)
+
+    def _find_largest(self, context: SpooferContext) -> float:
+        """Largest action over an episode; a base that looks at more than a direction has none that
+        is known beforehand."""
+        if not self.spoofer.knowledge.startswith("blind") or hasattr(self.spoofer, "card"):
+            raise ValueError(
+                f"`scale` must be given with the base {self.spoofer.label or self.spoofer!r}, "
+                "whose actions depend on what it sees"
+            )
+        self.spoofer.bind(context._replace(receivers=1))
+        self.spoofer.reset()
+        seen = np.zeros((1, len(context.observation_names)), dtype=np.float32)
+        if TARGET_NAMES[0] in context.observation_names:
+            seen[0, context.observation_names.index(TARGET_NAMES[0])] = 1.0
+        largest = max(float(np.abs(self.spoofer.act(seen)).max()) for _ in range(context.steps))
+        if not largest > 0.0:
+            raise ValueError(
+                f"`scale` must be given with the base {self.spoofer!r}, which commands nothing"
+            )
+        return largest
+
+
+def _narrow(
+    context: SpooferContext, wanted: tuple[str, ...], seen: tuple[str, ...], name: str
+) -> tuple[SpooferContext, Any]:
+    """What a base observes of a policy's elements, and their columns."""
+    lacking = [each for each in wanted if each not in seen]
+    if lacking:
+        raise ValueError(
+            f"the base {name!r} observes {', '.join(lacking)}, which the policy does not: give the "
+            "environment the base's `knowledge`, or more"
+        )
+    columns = [seen.index(each) for each in wanted]
+    low, high = context.observation_low, context.observation_high
+    narrowed = context._replace(
+        observation_names=wanted,
+        observation_low=tuple(low[k] for k in columns) if low else (),
+        observation_high=tuple(high[k] for k in columns) if high else (),
+    )
+    return narrowed, columns
+
+
+class BoundBase(NamedTuple):
+    """A base that is ready for B receivers, the elements that it observes, and its scale."""
+
+    spoofer: Spoofer
+    columns: Any
+    scale: float
+
+    def add(self, observation: NDArray[np.float32], correction: FloatArray) -> FloatArray:
+        """Action (B, k) in [-1, 1] of observations (B, o) and corrections (B, k) in [-1, 1]."""
+        given = np.ascontiguousarray(observation[:, self.columns])
+        action = self.spoofer.act(given) + self.scale * correction
+        return np.ascontiguousarray(np.clip(action, -1.0, 1.0))
