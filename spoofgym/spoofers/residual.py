@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,9 +38,10 @@ class BaseAttack(NamedTuple):
         scale = self.scale
         if scale is None:
             scale = SHARE * self._find_largest(own)
-        self.spoofer.bind(own)
-        self.spoofer.reset()
-        return BoundBase(self.spoofer, columns, scale)
+        made = copy.deepcopy(self.spoofer)  # several parts of a batch may have one each
+        made.bind(own)
+        made.reset()
+        return BoundBase(made, columns, scale)
 
     def _find_largest(self, context: SpooferContext) -> float:
         """Largest action over an episode; a base that looks at more than a direction has none that
@@ -49,12 +51,13 @@ class BaseAttack(NamedTuple):
                 f"`scale` must be given with the base {self.spoofer.label or self.spoofer!r}, "
                 "whose actions depend on what it sees"
             )
-        self.spoofer.bind(context._replace(receivers=1))
-        self.spoofer.reset()
+        made = copy.deepcopy(self.spoofer)
+        made.bind(context._replace(receivers=1))
+        made.reset()
         seen = np.zeros((1, len(context.observation_names)), dtype=np.float32)
         if TARGET_NAMES[0] in context.observation_names:
             seen[0, context.observation_names.index(TARGET_NAMES[0])] = 1.0
-        largest = max(float(np.abs(self.spoofer.act(seen)).max()) for _ in range(context.steps))
+        largest = max(float(np.abs(made.act(seen)).max()) for _ in range(context.steps))
         if not largest > 0.0:
             raise ValueError(
                 f"`scale` must be given with the base {self.spoofer!r}, which commands nothing"

@@ -117,10 +117,16 @@ def test_a_policy_plays_with_its_base_wherever_it_plays(tmp_path):
     assert card.action.names == ("along_target_setpoint_correction",)
     runs = {"runs": 4, "amplitude": None}
     score = spoofgym.evaluate(path, **runs)
-    faster = {"name": "ramp", "rate_mps": 0.3 * 1.25 + 0.5 * 0.2}
     world = {"env": ID, "detector": "never", "timeline": SHORT}
-    expected = spoofgym.evaluate(faster, **runs, **world)
+    constant = lambda seen: np.full((len(seen), 1), 0.3 * 1.25 + 0.5 * 0.2)  # noqa: E731
+    expected = spoofgym.evaluate(constant, **runs, **world)
     np.testing.assert_allclose(score.displacement_m, expected.displacement_m, rtol=1e-5)
+    judge = {"detector": {"name": "snapshot-chi2", "thresholds": "nominal"}, "rule": "exact"}
+    both = [
+        spoofgym.evaluate(each, runs=40, fit_runs=80, **{**world, **judge})  # many side by side
+        for each in (path, constant)
+    ]
+    np.testing.assert_allclose(both[0].displacement_m, both[1].displacement_m, rtol=1e-5)
     made = attach(path, env)
     played = play(env, lambda seen: made.act(seen[None])[0])
     with torch.no_grad():
