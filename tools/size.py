@@ -27,11 +27,11 @@ class Size(NamedTuple):
 
 
 BUDGETS = {
-    "spoofgym": Size(54_000, 29_000, 260),
+    "spoofgym": Size(48_000, 26_500, 240),
     "baselines": Size(7_500),
     "agents + train": Size(2_700),
     "tools": Size(3_700),  # 3,400, and the mutants
-    "tests": Size(),
+    "tests": Size(30_000, 20_000),
 }
 
 
