@@ -31,8 +31,8 @@ class BaseAttack(NamedTuple):
         seen, card = context.observation_names, getattr(self.spoofer, "card", None)
         columns = slice(None)
         if isinstance(card, SpooferCard):
-            wanted = () if card.observation is None else card.observation.names
-            own, columns = _narrow(own, wanted, seen, card.name)
+            assert card.observation is not None  # as of every policy
+            own, columns = _narrow(own, card.observation.names, seen, card.name)
             if found := card.diff_context(own):
                 raise ValueError(f"the base {card.name!r} does not fit: {'; '.join(found)}")
         scale = self.scale

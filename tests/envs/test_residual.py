@@ -96,6 +96,8 @@ def test_what_does_not_fit_is_refused_with_what_would():
         gym.make(ID, action=["full-command", {"name": "residual", "spoofer": "ramp"}])
     with pytest.raises(ValueError, match="corrections of the base Ramp"):
         attach("ramp", make({"name": "ramp", "rate_mps": 0.1}))
+    with pytest.raises(ValueError, match="one base alone"):
+        ResidualAction(make(RAMP), RAMP)
     env = gym.make(ID, timeline=SHORT)
     env.reset(seed=0)
     with pytest.raises(RuntimeError, match="an episode has started"):

@@ -256,7 +256,12 @@ class Residual:
         """Terms that base and correction are of."""
         from . import make_terms  # which lists this one
 
-        return default_action(setup) if self.action is None else make_terms("action", self.action)
+        if self.action is None:
+            return default_action(setup)
+        terms = make_terms("action", self.action)
+        if any(isinstance(each, Residual) for each in terms):
+            raise ValueError("actions correct one base alone, and two are given")
+        return terms
 
 
 ACTION_TERMS: dict[str, type[ActionTerm]] = {
