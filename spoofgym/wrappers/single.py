@@ -1,7 +1,5 @@
 """Wrappers of the single environment; `vector` has their twins of the same names.
 
-Users find them in `spoofgym.wrappers`.
-
 `DetectorWrapper`, `WatchWrapper`, `StealthBudget` and `EpochInfo` only set something in the engine
 before the first episode: nothing outside could sit between the halves of an epoch.  So each is the
 same as an argument of the environment.  A detector that only looks may be outside:
@@ -27,12 +25,12 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import NDArray
 
-from ...core.files import remove_stale_parts, write_file
-from ...detectors import Verdict
-from ...detectors.build import DetectorSpec
-from ..core import EpochSpec, SpoofCore, WatchSpec
-from ..factory import composable, compose
-from ..terms.termination import AtStealthBudget, EpochState
+from ..core.files import remove_stale_parts, write_file
+from ..detectors import Verdict
+from ..detectors.build import DetectorSpec
+from ..envs.core import EpochSpec, SpoofCore, WatchSpec
+from ..envs.factory import composable, compose
+from ..envs.terms.termination import AtStealthBudget, EpochState
 from .outside import OutsideDetector, warn_uncalibrated
 
 Observation = NDArray[np.float32]
@@ -41,14 +39,6 @@ _Base = gym.Wrapper[Observation, Observation, Observation, Observation]
 Array = NDArray[Any]
 FIRST = np.zeros(1, dtype=np.intp)
 PATTERN = re.compile(r"receiver-(\d+)-episode-(\d+)\.parquet")
-__all__ = [
-    "DetectorWrapper",
-    "EpochInfo",
-    "PassiveDetector",
-    "RecordEpochs",
-    "StealthBudget",
-    "WatchWrapper",
-]
 
 
 class EpochRecorder:
