@@ -17,7 +17,7 @@ simulation   B receivers of one kind of victim in step, without Gymnasium
 calibration  thresholds from clean runs, for a rate of false alarms
 limits       what no attack, and no detector, exceeds
 spoofers     scripted and learned ones, which decide what the attack does
-envs         what Gymnasium sees: one step path over any victim, terms, wrappers, pictures
+envs         what Gymnasium sees: one step path over any victim, terms, pictures
 tasks        tasks for spoofers and for detectors, frozen settings
 duel         the game of a spoofer and a detector, its two forms and the views of one side
 bench        detectors x spoofers x paired seeds: runs, scores, searches, experiments, reports

@@ -15,7 +15,6 @@ from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor, VecNorma
 
 from spoofgym.detectors import Calibrated
 from spoofgym.envs.terms.reward import AlarmPenalty, default_rewards
-from spoofgym.envs.wrappers import vector as vector_wrappers
 from spoofgym.sb3 import (
     AlarmRecorder,
     DetectorWrapper,
@@ -23,6 +22,7 @@ from spoofgym.sb3 import (
     RecordEpochs,
     SpoofVecEnv,
 )
+from spoofgym.wrappers import vector as vector_wrappers
 from spoofgym.wrappers import vector as wrapped_vectors
 
 from .envs.support import AlarmAt

@@ -3,10 +3,11 @@
     python -m train.offsets_ppo --list                 # what it trains, and its CPU minutes
     python -m train.offsets_ppo --out runs/offsets     # five seeds of each case
 
-It is stable-baselines3 with the four arguments of `PLAIN`, blind, in the papers' world, as
-`spoofgym/Offsets-v0` with `scenario="zhong2025"`.  Scores are at exactly the alarm budget, and
-ratios paired, both amplitudes fitted again in every draw; score and alarms of the policy as it was
-trained stand beside them.  After a kill the same command goes on with the seed that was learning.
+It is stable-baselines3 with the arguments of `PLAIN` and a first spread of the actions, blind, in
+the papers' world: that of `spoofgym/Offsets-v0` with `scenario="zhong2025"`, and receiver, timeline
+and domain None.  Scores are at exactly the alarm budget, and ratios paired, both amplitudes fitted
+again in every draw; score and alarms of the policy as it was trained stand beside them.  After a
+kill the same command goes on with the seed that was learning.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from typing import Any
 
 import torch
 import tyro
-from rich.console import Console
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -166,7 +166,7 @@ def main() -> None:
     torch.set_num_threads(1)
     results = play(settings, show_progress)
     write_json(settings.out / "results.json", results)
-    Console().print(build_table(results), soft_wrap=True, markup=False)
+    print(build_table(results))
 
 
 if __name__ == "__main__":

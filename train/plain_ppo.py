@@ -18,7 +18,6 @@ from typing import Any
 
 import torch
 import tyro
-from rich.console import Console
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -132,7 +131,7 @@ def main() -> None:
     torch.set_num_threads(1)
     results = play(settings, show_progress)
     write_json(settings.out / "results.json", results)
-    Console().print(build_table(results), soft_wrap=True, markup=False)
+    print(build_table(results))
 
 
 if __name__ == "__main__":

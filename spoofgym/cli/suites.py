@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from .app import progress
 from .options import (
     ENV,
-    PLAIN,
     SCENARIO_OPTIONS,
     TASK_OPTIONS,
     TIMES,
@@ -185,11 +184,11 @@ def _victim(options: WorldOptions) -> tuple[dict[str, Any], Reports]:
 def _own_options(options: WorldOptions, other: bool) -> tuple[dict[str, Any], Reports]:
     """Environment and settings that have options of their own, and the reports of real input;
     `other`: whether a scenario is given otherwise."""
-    from ..envs.factory import find_environment
+    from ..envs.factory import choose_env_id, find_environment
     from ..simulation import TightlyCoupledSetup
 
     other = other or bool(options.find_passed(("scenario", "track")))
-    env = options.env or (PLAIN if other else ENV)
+    env = options.env or choose_env_id(["scenario"] if other else [])
     kind, usual = find_environment(env)
     times = {name: x for name in TIMES if (x := getattr(options, name)) is not None}
     decided: dict[str, Any] = {"env": env}

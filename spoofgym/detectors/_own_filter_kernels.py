@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.compile import njit
 from ..core.simd import LANES, load_pair, splat, store
-from ..receiver._augmented_kernels import append_signals
+from ..receiver._augmented_kernels import append_entry, append_signals
 from ..receiver.augmented import FIRST
 from ..receiver.states import POSITION, STATES
 from ._solution_separation_kernels import append_rows, horizontal_axes
@@ -40,12 +40,9 @@ def as_vectors(matrix: FloatArray) -> FloatArray:
 
 @njit
 def append_part(part: FloatArray, first: int, size: int, at: IntArray, of: FloatArray) -> int:
-    """Append places and values of what is not 0 in a row from state `first` on; returns how many
-    there are with those before."""
+    """`append_entry` of a row, from state `first` on."""
     for j in range(len(part)):
-        if part[j] != 0.0:
-            at[size], of[size] = first + j, part[j]
-            size += 1
+        size = append_entry(first + j, part[j], size, at, of)
     return size
 
 

@@ -17,7 +17,14 @@ from ..detectors import Detector
 from ..detectors.build import spec_of_judge
 from ..detectors.pool import normalize_weights
 from ..envs.core import SpoofCore
-from ..envs.factory import CORE, DEFAULT_ID, DEFAULT_VICTIM, make_core, select_victim
+from ..envs.factory import (
+    CORE,
+    DEFAULT_ID,
+    DEFAULT_VICTIM,
+    choose_env_id,
+    make_core,
+    select_victim,
+)
 from ..envs.terms import describe_terms
 from ..simulation.setup import Setup
 from ..simulation.tight import TightlyCoupledSetup
@@ -72,8 +79,7 @@ class LearnersSide(NamedTuple):
         check_word("side", side, (SPOOFER, DETECTOR))
         if task is not None and env_id is not None:
             refuse_overrides(f"task {task}", ["`env_id`"])
-        own_world = "scenario" in own_settings(settings)
-        usual = TightlyCoupledSetup.env_id if own_world else DEFAULT_ID
+        usual = choose_env_id(own_settings(settings))
         name = _task_id(task, side) if task is not None else env_id or usual
         setup, view, merged = _look_up(name)
         if env_id is None and task is None and not (pool is None and side == SPOOFER):

@@ -39,7 +39,9 @@ def label_opponent(spec: Any) -> str:
         return ", ".join(
             str(value) if name == "name" else f"{name}={value}" for name, value in spec.items()
         )
-    return spec if isinstance(spec, str) else type(spec).__name__
+    if isinstance(spec, str):
+        return spec
+    return str(getattr(spec, "label", None) or type(spec).__name__)
 
 
 def make_opponent(spec: DetectorSpec, quiet_epochs: int = 0) -> Detector:

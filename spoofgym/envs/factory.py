@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import inspect
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, TypeVar
 
 import gymnasium as gym
@@ -49,6 +49,12 @@ CORE = {
 def select_victim(name: str) -> type[Setup]:
     check_choice("victim", name, VICTIMS)
     return VICTIMS[name]
+
+
+def choose_env_id(given: Collection[str]) -> str:
+    """Environment where none is named: the default one, or where a scenario is among the settings
+    that are given the one of the victim's defaults."""
+    return TightlyCoupledSetup.env_id if "scenario" in given else DEFAULT_ID
 
 
 def find_environment(env_id: str) -> tuple[type[Setup], dict[str, Any]]:

@@ -19,7 +19,9 @@ ENTRIES = 8  # at least the most states of the signals that a measurement depend
 
 
 @njit
-def _append(place: int, value: float, size: int, at: IntArray, of: FloatArray) -> int:
+def append_entry(place: int, value: float, size: int, at: IntArray, of: FloatArray) -> int:
+    """Append the place and the value of what is not 0; returns how many there are with those
+    before."""
     if value == 0.0:
         return size
     at[size], of[size] = place, value
@@ -50,26 +52,26 @@ def append_signals(
     see = mapping[s]
     for kind in (CONSTANT, CORRELATED):
         if code and first[kind] >= 0:
-            size = _append(behind + first[kind] + s, 1.0, size, at, of)
+            size = append_entry(behind + first[kind] + s, 1.0, size, at, of)
     for kind, sign in ((IONOSPHERE, -1.0), (TROPOSPHERE, 1.0)):
         if first[kind] >= 0:
             j, column = behind + first[kind], 2 * (kind - IONOSPHERE)
             slant = see[column]
             if code:
-                size = _append(j, slant, size, at, of)
+                size = append_entry(j, slant, size, at, of)
             else:
-                size = _append(j, sign * see[column + 1], size, at, of)
-                size = _append(j + 1, sign * slant, size, at, of)
+                size = append_entry(j, sign * see[column + 1], size, at, of)
+                size = append_entry(j + 1, sign * slant, size, at, of)
     if first[ORBIT_CLOCK] >= 0:
         place = behind + first[ORBIT_CLOCK] + (s if code else n + s)
-        size = _append(place, 1.0, size, at, of)
+        size = append_entry(place, 1.0, size, at, of)
     if code and first[SMOOTHED] >= 0:
         sd = math.hypot(smoothed[0] + smoothed[1] * see[4], smoothed[2] + smoothed[3] * see[5])
-        size = _append(behind + first[SMOOTHED] + s, sd, size, at, of)
+        size = append_entry(behind + first[SMOOTHED] + s, sd, size, at, of)
     if not code and first[CARRIER] >= 0:
         place = behind + first[CARRIER] + s
-        size = _append(place, rate, size, at, of)
-        size = _append(place + n, -rate, size, at, of)
+        size = append_entry(place, rate, size, at, of)
+        size = append_entry(place + n, -rate, size, at, of)
     return size
 
 

@@ -18,11 +18,11 @@ from ..bench.search.amplitude import TuningResult
 from ..core.declared import check_number
 from ..core.progress import ProgressCallback
 from ..core.registry import refuse_overrides, whole_number
-from ..envs.wrappers import EpochRecorder
 from ..policies.card import DECIDED_ON
 from ..policies.contract import NotFinite
 from ..policies.onnx_file import checked_path
 from ..spoofers.learned import finite
+from ..wrappers.single import EpochRecorder
 from .vec_env import SpoofVecEnv
 
 Array = NDArray[Any]

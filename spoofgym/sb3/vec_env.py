@@ -32,8 +32,8 @@ from ..envs.options import (
 )
 from ..envs.scoring import PlainResult, StepResult
 from ..envs.terms import RewardSpec, make_terms
-from ..envs.wrappers.outside import warn_uncalibrated
 from ..spoofers.build import SpooferSpec
+from ..wrappers.outside import warn_uncalibrated
 
 AT_THE_END = (
     "undetected_displacement_m",

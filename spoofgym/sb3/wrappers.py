@@ -8,8 +8,8 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from ..detectors.build import DetectorSpec
-from ..envs.wrappers.outside import OutsideDetector
 from ..wrappers.alarms import AlarmLog
+from ..wrappers.outside import OutsideDetector
 from .vec_env import SpoofVecEnv, select_receiver_info
 
 RECORDED = frozenset({"time_s", "displacement_m", "alarm"})

@@ -198,18 +198,21 @@ def flight_from_velocity(
     start = geodetic_to_ecef(latitude, longitude, height)
     position = np.broadcast_to(start, velocity_n.shape)
     velocity_e, pieces = np.empty_like(velocity_n), split_rows(len(velocity_n))
-    for _ in range(_PICARD_LIMIT):
+    C_en = np.empty((*velocity_n.shape, 3))
+    for number in range(_PICARD_LIMIT):
         before = position
         for piece in pieces:
-            C_en = dcm_e_from_n(*ecef_to_geodetic(before[piece])[:2])
-            np.einsum("nij,nj->ni", C_en, velocity_n[piece], out=velocity_e[piece])
+            if number == 0 and piece.start > 0:  # all are where it starts
+                C_en[piece] = C_en[pieces[0]][: len(C_en[piece])]
+            else:
+                C_en[piece] = dcm_e_from_n(*ecef_to_geodetic(before[piece])[:2])
+            np.einsum("nij,nj->ni", C_en[piece], velocity_n[piece], out=velocity_e[piece])
         position = integrate_velocity(start, velocity_e, step)
         if np.abs(position - before).max() < _PICARD_STOP:
             break
-    C_eb, angles = np.empty((*velocity_n.shape, 3)), np.broadcast_arrays(roll, pitch, yaw)
+    C_eb, angles = C_en, np.broadcast_arrays(roll, pitch, yaw)  # in its place
     for piece in pieces:
-        C_en = dcm_e_from_n(*ecef_to_geodetic(before[piece])[:2])
-        C_eb[piece] = C_en @ euler_to_dcm(*(angle[piece] for angle in angles))
+        C_eb[piece] = C_en[piece] @ euler_to_dcm(*(angle[piece] for angle in angles))
     time = np.arange(len(position), dtype=np.float64) * step
     return Flight(name, time, position, velocity_e, C_eb)
 
@@ -267,7 +270,8 @@ class Headings:
         self.count = 1
         if imu_rate_hz is not None:
             self.count = compute_decimation(flight.step, imu_rate_hz, epoch_interval_s)
-        self.name, self._step, self._velocity_e = flight.name, flight.step, flight.velocity_e
+        self.name, self._step = flight.name, flight.step
+        self._velocity_e = np.ascontiguousarray(flight.velocity_e[:: self.count])
         self._start_e = flight.position_e[0].copy()
         self.time = np.ascontiguousarray(flight.time[:: self.count])
         self._C_eb = np.ascontiguousarray(flight.C_eb[:: self.count])
@@ -283,7 +287,6 @@ class Headings:
         velocity_e = self._velocity_e
         if angle != 0.0:
             velocity_e = velocity_e @ self._turn(angle).T
-        velocity_e = velocity_e[:: self.count]
         return integrate_velocity(self._start_e, velocity_e, self.count * self._step), velocity_e
 
     def fly(self, angle: float) -> Flight:

@@ -3,7 +3,10 @@
 `vector` has the twins for vector environments, and `spoofgym.sb3` those for stable-baselines3.
 """
 
-from ..envs.wrappers import (
+from .alarms import AlarmRecorder, AlarmSummary
+from .check import check_wrapper
+from .evaluate import AttackOutcome, WrappedScore, evaluate_wrapped
+from .single import (
     DetectorWrapper,
     EpochInfo,
     PassiveDetector,
@@ -12,9 +15,6 @@ from ..envs.wrappers import (
     StealthBudget,
     WatchWrapper,
 )
-from .alarms import AlarmRecorder, AlarmSummary
-from .check import check_wrapper
-from .evaluate import AttackOutcome, WrappedScore, evaluate_wrapped
 
 __all__ = [
     "AlarmRecorder",

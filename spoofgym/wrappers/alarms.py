@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..bench.scores.statistics import Estimate, bootstrap_mean, draw_resamples, interval, wilson
 from ..detectors.calibration_file import hourly_rate
 from ..envs.factory import composable
-from ..envs.wrappers import require_single
+from .single import require_single
 
 Observation = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bench.runs.players import specify_policy
 from ..bench.runs.record import undetected_displacement
 from ..bench.scores.statistics import (
     Estimate,
@@ -27,6 +28,7 @@ from ..detectors.calibration_file import (
     run_probability,
 )
 from ..duel.opponents import label_opponent
+from ..spoofers import Spoofer
 from ..spoofers.build import SpooferSpec
 from .streams import (
     BLOCK,
@@ -113,7 +115,7 @@ def evaluate_wrapped(
     env: Any,
     runs: int = RUNS,
     *,
-    spoofers: Sequence[SpooferSpec] | None = None,
+    spoofers: Sequence[Any] | None = None,
     false_alarms_per_hour: float = STANDARD_RATE,
     entropy: int = 0,
     threads: int | None = None,
@@ -138,7 +140,8 @@ def evaluate_wrapped(
     runs : int
         Clean runs, and runs of each attack.
     spoofers : sequence, optional
-        Each as `make_spoofer` takes it; by default ramps of 0.1, 0.3 and 1 m/s.
+        Each as `make_spoofer` takes it, or a model as `evaluate` does, trained in an environment
+        with the same settings but for the detector; by default ramps of 0.1, 0.3 and 1 m/s.
     false_alarms_per_hour : float
         Rate to calibrate to.
     entropy : int
@@ -161,7 +164,10 @@ def evaluate_wrapped(
     runs, rate = whole_number("`runs`", runs, 2), check_rate(false_alarms_per_hour)
     if spoofers is None:
         spoofers = [{"name": "ramp", "rate_mps": each} for each in RATES_MPS]
+    spoofers = [_as_spoofer(each) for each in spoofers]
     recorder = Recorder(env, whole_number("`entropy`", entropy), threads)
+    for each in spoofers:
+        recorder.attach(each)
     with replaced_bottom(env) as bottom:
         judge = _Judge(env, bottom)
         blocks = [range(first, min(first + BLOCK, runs)) for first in range(0, runs, BLOCK)]
@@ -184,6 +190,14 @@ def evaluate_wrapped(
         counted = np.where((since > 0) & (alarms == 0), since, 0)
         outcomes.append(_score_attack(label_opponent(spoofer), counted, moved, recorder))
     return WrappedScore(runs, scale, hourly, tuple(outcomes))
+
+
+def _as_spoofer(given: Any) -> SpooferSpec:
+    """A model as a spoofer; every other one as it is."""
+    if isinstance(given, str | Mapping | Spoofer):
+        return given
+    made: Spoofer = specify_policy(given).thing
+    return made
 
 
 def _score_attack(

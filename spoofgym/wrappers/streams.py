@@ -21,6 +21,8 @@ from ..envs.core import SpoofCore
 from ..envs.env import CoreVectorEnv
 from ..envs.factory import composable
 from ..receiver.epoch import Epoch
+from ..spoofers import Spoofer, make_spoofer
+from ..spoofers.base import sees_statistics
 from ..spoofers.build import SpooferSpec
 
 FloatArray = NDArray[np.float64]
@@ -60,13 +62,23 @@ class Recorder:
         same: dict[str, Any] = {"prefetch": False, "watch": (), "twin": False, "warm_pool": None}
         settings = {**core.settings, **same, "end": ("at-window-end",), "threads": threads}
         self.core = SpoofCore(BLOCK, setup, **settings)
-        self._env = CoreVectorEnv(self.core, "disabled")
+        self._cores = {self.core.settings["knowledge"]: self.core}
         self.hold, self.interval_s = setup.hold, setup.interval_s
         self._drawn = setup.youngest < setup.onset  # else the first epochs are left out
 
+    def attach(self, spoofer: SpooferSpec) -> tuple[SpoofCore, Spoofer]:
+        """Receivers in which a spoofer observes what it knows, and the spoofer, ready for them; a
+        ValueError where it does not fit. There are no statistics of a detector to see."""
+        made, core = make_spoofer(spoofer), self.core
+        if not sees_statistics(made.knowledge):
+            if made.knowledge not in self._cores:
+                self._cores[made.knowledge] = core.copy_with(knowledge=made.knowledge)
+            core = self._cores[made.knowledge]
+        return core, attach(made, CoreVectorEnv(core, "disabled"), transfer=True)
+
     def record_clean(self, split: int, runs: range) -> list[Stream]:
         """Runs without an attack."""
-        starts = self._begin(split, runs)
+        starts = self._begin(self.core, split, runs)
         simulator, setup = self.core.engine.simulator, self.core.setup
         simulator.live_epochs(setup.steps + setup.hold)
         return self._cut(split, runs, starts, self.core.reset_info()["epochs"])
@@ -75,10 +87,9 @@ class Recorder:
         self, spoofer: SpooferSpec, split: int, runs: range
     ) -> tuple[list[Stream], FloatArray]:
         """The same runs under an attack, and the displacement at its epochs, (steps, runs) [m]."""
-        starts = self._begin(split, runs)
-        core, moved = self.core, list[FloatArray]()
+        (core, player), moved = self.attach(spoofer), list[FloatArray]()
+        starts, observation = self._begin(core, split, runs), core.observe()
         rest = np.frompyfunc(lambda row: (), 1, 1)(np.arange(BLOCK))
-        player, observation = attach(spoofer, self._env), core.observe()
         core.listeners[:] = [lambda core, state, verdict: moved.append(state.displacement.copy())]
         for _ in range(core.episode_steps):
             result, observation = core.step(np.asarray(player.act(observation), dtype=np.float64))
@@ -86,10 +97,10 @@ class Recorder:
         core.listeners.clear()
         return self._cut(split, runs, starts, rest), np.array(moved)[:, : len(runs)]
 
-    def _begin(self, split: int, runs: range) -> dict[str, NDArray[Any]]:
+    def _begin(self, core: SpoofCore, split: int, runs: range) -> dict[str, NDArray[Any]]:
         numbers = [*runs, *range(runs.stop, runs.start + BLOCK)]
-        self.core.reset([np.random.default_rng(self._seed(split, run)) for run in numbers])
-        return self.core.reset_info()
+        core.reset([np.random.default_rng(self._seed(split, run)) for run in numbers])
+        return core.reset_info()
 
     def _seed(self, split: int, run: int) -> np.random.SeedSequence:
         return np.random.SeedSequence(self.entropy, spawn_key=(STREAM, split, run))

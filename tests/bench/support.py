@@ -8,6 +8,7 @@ import numpy as np
 from onnx import numpy_helper
 
 from spoofgym.bench.experiments.suite import Suite
+from spoofgym.bench.runs.world import PLAIN_ID
 from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.envs import Observer, default_terms
 from spoofgym.envs.context import spoofer_context
@@ -26,6 +27,7 @@ LATE = {"decision_interval_s": 2.5, "between": "linear"}
 
 def small_suite(**changes):
     settings = {
+        "env": PLAIN_ID,
         "timeline": SHORT,
         "tuning": QUICK,
         "runs": 5,

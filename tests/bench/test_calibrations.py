@@ -17,7 +17,7 @@ from spoofgym.bench.experiments.calibration import (
 )
 from spoofgym.bench.experiments.campaign import run_campaign
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.runs.world import World
+from spoofgym.bench.runs.world import PLAIN_ID, World
 from spoofgym.calibration import clean_runs, holdouts
 from spoofgym.calibration import thresholds as calibration
 from spoofgym.cli import app
@@ -44,7 +44,8 @@ def few(tmp_path, monkeypatch):
 
 
 def small(*detectors):
-    return Suite(detectors=detectors, spoofers=["none"], timeline=SHORT, runs=4)
+    own = {"env": PLAIN_ID, "timeline": SHORT, "runs": 4}
+    return Suite(detectors=detectors, spoofers=["none"], **own)
 
 
 def call(words):

@@ -5,6 +5,7 @@ import pytest
 from spoofgym.bench import Suite, run_campaign
 from spoofgym.bench.report.campaign import format_target
 from spoofgym.bench.runs.players import describe_knowledge, specify_spoofer
+from spoofgym.bench.runs.world import PLAIN_ID
 from spoofgym.simulation import Timeline
 from spoofgym.spoofers import make_spoofer
 from spoofgym.spoofers.build import card_behind
@@ -32,23 +33,24 @@ def labels(suite):
 
 def test_those_that_fit_play_by_default_and_others_are_named_with_the_reason(tmp_path, monkeypatch):
     longer = Timeline(warmup_s=20.0, live_s=10.0, attack_s=30.0, time_to_alert_s=5.0)
-    suite = Suite(timeline=longer, notes=("mine",))
+    suite = Suite(env=PLAIN_ID, timeline=longer, notes=("mine",))
     assert labels(suite) == USUAL
     assert suite.config["notes"][0] == "mine"
     for name, note in zip(("curve", "push", "track"), suite.left_out, strict=True):
         assert note.startswith(f"shipped spoofer {name} is left out: ")
         assert "conditions.steps: 40 on the card, 60 here" in note
-    by_rate = Suite(timeline=SHORT, attack={"name": "false-position", "control": "rate"})
+    by_rate = {"name": "false-position", "control": "rate"}
+    by_rate = Suite(env=PLAIN_ID, timeline=SHORT, attack=by_rate)
     assert "action: north_acceleration, east_acceleration only on the card" in by_rate.left_out[1]
-    assert Suite(timeline=longer, spoofers=("step",)).left_out == ()
+    assert Suite(env=PLAIN_ID, timeline=longer, spoofers=("step",)).left_out == ()
     # one that is asked for is refused
     asked = small_suite(attack={"name": "false-position", "rate_limit_mps": 2.0}, spoofers=["push"])
     with pytest.raises(ValueError, match=r"conditions.rate_limit_mps: 5.0 on the card, 2.0 here"):
         run_campaign(asked, tmp_path / "results", threads=1)
-    suite = Suite(timeline=SHORT)
+    suite = Suite(env=PLAIN_ID, timeline=SHORT)
     assert (labels(suite), suite.left_out) == ([*USUAL, "curve", "push", "track"], ())
     use_zoo(tmp_path, monkeypatch)
-    suite = Suite(timeline=SHORT)
+    suite = Suite(env=PLAIN_ID, timeline=SHORT)
     assert (labels(suite), suite.config["notes"]) == (USUAL, [])
 
 

@@ -51,12 +51,12 @@ def test_spoofers_that_ignore_a_drawn_target_are_warned_of_and_oracles_refused()
     assert not any(DETECTORS[spec["name"]].oracle for spec in DEFAULT_DETECTORS)
     oracles = ("ewma", {"name": "oracle-ramp", "rate_mps": 0.2})
     with pytest.raises(ValueError, match=r"oracle-ramp\(rate_mps=0.2\): an oracle knows the"):
-        Suite(detectors=oracles)
-    suite = Suite(detectors=oracles, allow_oracles=True)
+        Suite(env=PLAIN_ID, detectors=oracles)
+    suite = Suite(env=PLAIN_ID, detectors=oracles, allow_oracles=True)
     note = "oracle-ramp(rate_mps=0.2) is an oracle: it knows the attack"
     assert suite._oracle_notes == (note,)
     assert note in suite.config["notes"]
-    plain = [Suite(detectors=("ewma",), allow_oracles=allow).digest for allow in (True, False)]
+    plain = [small_suite(allow_oracles=allow).digest for allow in (True, False)]
     assert plain[0] == plain[1]
 
 
@@ -101,7 +101,8 @@ def test_a_campaign_has_its_world_and_its_runs_and_plays_the_clean_twin_first():
     assert named.copy_with(between="ramp").settings == {"timeline": TIMES, "between": "ramp"}
     assert World.of().config == World.of(DEFAULT_TASK).config
     assert World.of(scenario="trolley").env == PLAIN_ID  # all else has the class's defaults
-    suite = Suite(timeline=TIMES, entropy=3, detectors=["never"], spoofers=["none"])
+    assert Suite(detectors=["never"], spoofers=["none"]).world == World.of()
+    suite = small_suite(timeline=TIMES, entropy=3)
     world = World.of(env=PLAIN_ID, timeline=TIMES)
     assert {name: suite.config[name] for name in world.config} == world.config
     one, few = world.generators(3, "training", 3, first=2), suite.generators("training", 3)

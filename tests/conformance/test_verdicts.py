@@ -14,6 +14,7 @@ from spoofgym import duel_v0
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.episode import play_episode
 from spoofgym.bench.runs.play import WarmStart, play
+from spoofgym.bench.runs.world import PLAIN_ID
 from spoofgym.detectors import Detector, Verdict
 from spoofgym.simulation import Engine, Timeline
 
@@ -116,9 +117,8 @@ def stepped(env):
 
 
 def small_suite(detector):
-    return Suite(
-        timeline=Timeline(**timeline(0.5)), runs=B, detectors=(detector,), spoofers=("step",)
-    )
+    own = {"env": PLAIN_ID, "timeline": Timeline(**timeline(0.5)), "runs": B}
+    return Suite(detectors=(detector,), spoofers=("step",), **own)
 
 
 def bench(detector):

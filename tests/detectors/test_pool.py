@@ -8,6 +8,7 @@ import pytest
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_detector
+from spoofgym.bench.runs.world import PLAIN_ID
 from spoofgym.detectors import Calibrated, PooledDetector, SnapshotChi2, make_detector
 
 from .support import context, epoch
@@ -20,7 +21,7 @@ LAX = {"name": "solution-separation", "false_alarm": 0.1, "longest_s": 20.0, "sp
 
 
 def played(detector, runs=12, rows=None):
-    suite = Suite(detectors=[detector], timeline=SHORT, runs=2)
+    suite = Suite(env=PLAIN_ID, detectors=[detector], timeline=SHORT, runs=2)
     rngs = suite.generators("training", runs)
     if rows is not None:
         rngs = [rngs[row] for row in rows]

@@ -81,6 +81,7 @@ SMALLER_CODE = {
     "calibrate_detectors(setup, [": "calibrate_detectors(setup, runs=2000, detectors=[",
     "TURNS, STEPS, RUNS = 4, 20_000, 200": "TURNS, STEPS, RUNS = 1, 1_024, 19",
     "learn(100_000": "learn(9_600",
+    "learn(300_000": "learn(9_600",
     "learn(1_000_000": "learn(9_600",
     "= 16, 128, 60, 4, 0.2": "= 16, 128, 4, 4, 0.2",
 }

@@ -50,7 +50,7 @@ def test_a_command_on_a_page_is_understood(line, monkeypatch):
     """Its options exist and take these values; its scenario and detectors do, too."""
     module = types.ModuleType("my_detector")  # which the README lets its reader write
     monkeypatch.setitem(sys.modules, "my_detector", module)
-    exec(blocks_of("README.md")[1][1], module.__dict__)
+    exec(blocks_of("README.md")[-1][1], module.__dict__)
     words = shlex.split(line)[1:]
     command = typer.main.get_command(app)
     context = command.make_context("spoofgym", list(words))

@@ -9,11 +9,10 @@ import pytest
 from scipy import stats
 
 from spoofgym.core.simd import LANES
-from spoofgym.envs.wrappers import RecordEpochs
 from spoofgym.simulation.engine import POOL_SEED, Engine
 from spoofgym.simulation.tight import TightlyCoupledSimulator
 from spoofgym.truth.sensors import SOURCES
-from spoofgym.wrappers import AlarmRecorder, EpochInfo
+from spoofgym.wrappers import AlarmRecorder, EpochInfo, RecordEpochs
 from spoofgym.wrappers.streams import Recorder
 
 from .support import DOMAINS, SETUPS, rngs, setup_of

@@ -6,7 +6,7 @@ import pytest
 
 from spoofgym.bench import Suite
 from spoofgym.bench.runs.players import fitting
-from spoofgym.bench.runs.world import World
+from spoofgym.bench.runs.world import PLAIN_ID, World
 from spoofgym.envs.spoofer_binding import setup_of_card
 from spoofgym.policies.zoo import ZOO_FOLDER, list_shipped, load_card
 from spoofgym.spoofers import SPOOFERS, OnnxPolicy, Ramp, make_spoofer
@@ -87,6 +87,6 @@ def test_every_shipped_spoofer_is_whole_and_fits_its_own_world_and_the_default_o
 
 
 def test_a_learned_spoofer_whose_decisions_do_not_fit_is_left_out_with_the_reason():
-    suite = Suite(timeline={"attack_s": 25.0})
+    suite = Suite(env=PLAIN_ID, timeline={"attack_s": 25.0})
     (note,) = [note for note in suite.left_out if "ewma-ppo" in note]
     assert "attack window of 25 s must hold a whole number of decisions" in note

@@ -117,6 +117,19 @@ def test_a_statistic_is_calibrated_and_scored(score):
         evaluate_wrapped(outside, 40, false_alarms_per_hour=10.0, spoofers=[FAST])
 
 
+def test_a_model_plays_by_its_own_observations_and_one_that_does_not_fit_is_refused(score):
+    def push(seen):
+        assert seen.shape[1] < bare().observation_space.shape[0]  # it is blind
+        return np.ones((len(seen), 1))
+
+    env, own = Plain(EpochInfo(bare(), ())), {"false_alarms_per_hour": 10.0}
+    (found,) = evaluate_wrapped(env, 40, spoofers=[push], **own).attacks
+    assert found._replace(spoofer="ramp, rate_mps=1.0") == score.attacks[0]
+    assert found.spoofer == "push"
+    with pytest.raises(ValueError, match="'ewma-ppo' was made for another environment"):
+        evaluate_wrapped(env, 40, spoofers=["ewma-ppo"], **own)
+
+
 def test_single_and_vector_have_the_same_score(score):
     class Row(vector.EpochInfo):
         def reset(self, **kwargs):

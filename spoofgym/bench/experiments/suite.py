@@ -37,7 +37,7 @@ from ..runs.players import (
     specify_detector,
     specify_spoofer,
 )
-from ..runs.world import CONTROLS, PLAIN_ID, WORLD, World
+from ..runs.world import CONTROLS, WORLD, World
 from ..search.amplitude import EXACT, Tuning
 from ..search.attack_suite import (
     NAME,
@@ -60,8 +60,10 @@ ALERT_LIMITS_M = (5.0, 10.0, 20.0, ALERT_LIMIT_M, 80.0, 160.0, 320.0, 556.0)
 class Suite:
     """What a campaign runs."""
 
-    env: str = setting(
-        default=PLAIN_ID, help="Environment; the settings below are put on top of its own."
+    env: str | None = setting(
+        default=None,
+        help="Environment; the settings below are put on top of its own. By default the default "
+        "one, or with a `scenario` one of the victim's defaults.",
     )
     scenario: str | Mapping[str, Any] | Scenario | None = setting(
         default=None, help="Flight of the victim, where its environment has one to choose."

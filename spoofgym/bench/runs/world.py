@@ -18,7 +18,7 @@ from ...detectors import Detector, OperatingPoint
 from ...detectors.calibrated import calibrated_parts, resolve_thresholds
 from ...duel.learner import describe_environment
 from ...envs.context import spoofer_context
-from ...envs.factory import DEFAULT_ID, find_environment, make_setup
+from ...envs.factory import DEFAULT_ID, choose_env_id, find_environment, make_setup
 from ...envs.spoofer_binding import (
     SETUPS,
     get_tuning_range,
@@ -116,7 +116,7 @@ class World:
             return cls(settings=get_task(task).world_kwargs)
         further = named.pop("settings", {})
         own = {name: value for name, value in named.items() if value is not None}
-        env = own.pop("env", PLAIN_ID if "scenario" in {**own, **further} else DEFAULT_ID)
+        env = own.pop("env", choose_env_id({**own, **further}))
         for name in further:
             if name in own:
                 raise ValueError(f"`settings` has {name!r}, which is given by name, too")

@@ -12,17 +12,18 @@ from gymnasium.envs.registration import EnvSpec
 from spoofgym import duel_v0
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.runs.players import specify_detector
+from spoofgym.bench.runs.world import PLAIN_ID
 from spoofgym.calibration.clean_runs import Player
 from spoofgym.cli.app import app
 from spoofgym.core.registry import parse_spec
 from spoofgym.detectors import LearnedDetector, detector_in_world, make_detector
 from spoofgym.detectors.calibrated import describe_identity
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
-from spoofgym.envs.wrappers import DetectorWrapper, WatchWrapper
 from spoofgym.policies.zoo import list_shipped, resolve_path
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.testing import check_detector
+from spoofgym.wrappers import DetectorWrapper, WatchWrapper
 
 from .files import TERMS, edit_card, write_guard
 
@@ -195,7 +196,7 @@ def test_a_campaign_names_it_by_content(guard, tmp_path):
     plain = specify_detector(LearnedDetector(guard))
     assert detector_in_world(plain.spec).scale == 1.0
     moved = shutil.copytree(tmp_path, tmp_path / "moved") / "guard.onnx"
-    suite = {"spoofers": ["none"], "timeline": FAST, "runs": 4}
+    suite = {"env": PLAIN_ID, "spoofers": ["none"], "timeline": FAST, "runs": 4}
     one, other = (Suite(detectors=[str(each)], **suite) for each in (guard, moved))
     assert (one.config, one.digest) == (other.config, other.digest)
     edit_card(moved, threshold=0.8)

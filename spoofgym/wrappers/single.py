@@ -1,7 +1,5 @@
 """Wrappers of the single environment; `vector` has their twins of the same names.
 
-Users find them in `spoofgym.wrappers`.
-
 `DetectorWrapper`, `WatchWrapper`, `StealthBudget` and `EpochInfo` only set something in the engine
 before the first episode: nothing outside could sit between the halves of an epoch.  So each is the
 same as an argument of the environment.  A detector that only looks may be outside:
@@ -27,13 +25,13 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import NDArray
 
-from ...core.files import remove_stale_parts, write_file
-from ...detectors import Verdict
-from ...detectors.build import DetectorSpec
-from ...spoofers.build import SpooferSpec
-from ..core import EpochSpec, SpoofCore, WatchSpec
-from ..factory import composable, compose
-from ..terms.termination import AtStealthBudget, EpochState
+from ..core.files import remove_stale_parts, write_file
+from ..detectors import Verdict
+from ..detectors.build import DetectorSpec
+from ..envs.core import EpochSpec, SpoofCore, WatchSpec
+from ..envs.factory import composable, compose
+from ..envs.terms.termination import AtStealthBudget, EpochState
+from ..spoofers.build import SpooferSpec
 from .outside import OutsideDetector, warn_uncalibrated
 
 Observation = NDArray[np.float32]
@@ -42,15 +40,6 @@ _Base = gym.Wrapper[Observation, Observation, Observation, Observation]
 Array = NDArray[Any]
 FIRST = np.zeros(1, dtype=np.intp)
 PATTERN = re.compile(r"receiver-(\d+)-episode-(\d+)\.parquet")
-__all__ = [
-    "DetectorWrapper",
-    "EpochInfo",
-    "PassiveDetector",
-    "RecordEpochs",
-    "ResidualAction",
-    "StealthBudget",
-    "WatchWrapper",
-]
 
 
 class EpochRecorder:

@@ -10,15 +10,15 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from spoofgym import wrappers
 from spoofgym.detectors import Detector, SnapshotChi2, Verdict
 from spoofgym.detectors.build import spec_of_judge
 from spoofgym.detectors.calibrated import STANDARD_RATE, UncalibratedWarning
-from spoofgym.envs import wrappers
-from spoofgym.envs.wrappers import EpochRecorder
-from spoofgym.envs.wrappers import vector as vector_wrappers
+from spoofgym.wrappers import vector as vector_wrappers
+from spoofgym.wrappers.single import EpochRecorder
 
-from .players import MODES, Player, Sooner
-from .support import (
+from ..envs.players import MODES, Player, Sooner
+from ..envs.support import (
     HOLD,
     LIVE,
     SHORT,

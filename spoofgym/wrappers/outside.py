@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from ...detectors import Calibrated, Detector, Verdict, detector_in_world
-from ...detectors.base import judge_epoch
-from ...detectors.build import DetectorSpec
-from ...detectors.calibrated import STANDARD_RATE, UncalibratedWarning, calibration_command
-from ...receiver.epoch import Epoch, stack_receivers
-from ...simulation.simulator import weighs
-from ..core import SETTLING
-from ..factory import brings_detector, composable, compose
-from ..scoring import Info, Mask, select_loudest
+from ..detectors import Calibrated, Detector, Verdict, detector_in_world
+from ..detectors.base import judge_epoch
+from ..detectors.build import DetectorSpec
+from ..detectors.calibrated import STANDARD_RATE, UncalibratedWarning, calibration_command
+from ..envs.core import SETTLING
+from ..envs.factory import brings_detector, composable, compose
+from ..envs.scoring import Info, Mask, select_loudest
+from ..receiver.epoch import Epoch, stack_receivers
+from ..simulation.simulator import weighs
 
 
 class OutsideDetector:

@@ -5,12 +5,12 @@ from functools import partial
 import numpy as np
 import pytest
 
+from spoofgym import wrappers
 from spoofgym.detectors import DETECTORS, Calibrated, make_detector
-from spoofgym.envs import wrappers
-from spoofgym.envs.wrappers import vector as vector_wrappers
 from spoofgym.simulation.simulator import weighs
+from spoofgym.wrappers import vector as vector_wrappers
 
-from .support import HOLD, LIVE, STEPS, LooksAtEpochs, single, vector, victim
+from ..envs.support import HOLD, LIVE, STEPS, LooksAtEpochs, single, vector, victim
 
 
 @pytest.fixture(scope="module")
