@@ -130,9 +130,6 @@ def test_make_bench_plays_rows_of_the_full_run_and_agrees_by_interval(full):
         assert {*scores} == {*whole[name]}
         for score, one in scores.items():
             other = whole[name][score]
-            if score == HALF or score.startswith("exceeded"):  # of a search on half of the runs
-                assert 0.7 * other["value"] <= one["value"] <= 1.001 * other["high"], (name, score)
-                continue
             apart = max(one["low"] - other["high"], other["low"] - one["high"])
-            # an interval may have no width: what is searched for lies on a grid
+            # the whole way of an attack has an interval of some centimetres
             assert apart <= 1e-3 * abs(other["value"]), (name, score)
