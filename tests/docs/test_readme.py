@@ -10,7 +10,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.bench.scores.campaign import HALF
 from spoofgym.detectors.calibrated import UncalibratedWarning
 from spoofgym.simulation.setup import Timeline
 from spoofgym.tasks import get_task
