@@ -464,11 +464,9 @@ def _score_aim(found: Protection, aim: Aim) -> dict[str, Any]:
     # the worst skies are few, and the interval is for these alone
     alike = np.arange(len(found.sky)) if aim.skies else select_clusters(found.sky)
     estimate = estimate_exceeded(found, aim, draw_resamples(alike[rows]))
-    if aim.skies:
-        everywhere = aim._replace(skies=False)
-        attack = found.worst(everywhere).displacement[aim.measure][found.counts]
-        if estimate.value < (1.0 - ALIKE) * everywhere.score_displacement(attack):
-            estimate = NOTHING  # the few runs of the choice have not found the worst skies
+    everywhere = found.score_worst(aim._replace(skies=False))
+    if aim.skies and estimate.value < (1.0 - ALIKE) * everywhere:
+        estimate = NOTHING  # the few runs of the choice have not found the worst skies
     value = estimate.as_json()
     named = {"measure": aim.measure, "share": aim.share, "worst_skies": aim.skies}
     return {**named, "runs": int(rows.sum()), **value, **_attack(winner)}

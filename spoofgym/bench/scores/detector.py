@@ -112,7 +112,8 @@ class DetectorScore:
 
         def badness(family: FamilyScore) -> tuple[float, float]:
             p = family.p_hmi.value
-            return (-1.0 if math.isnan(p) else p, family.estimate_quantile(SHARES[0]).value)
+            farthest = family.protection.score_worst(Aim(MEASURES[0], SHARES[0]))
+            return (-1.0 if math.isnan(p) else p, farthest)
 
         return max(self.families, key=badness)
 

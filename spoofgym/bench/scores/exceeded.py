@@ -39,7 +39,7 @@ def estimate_exceeded(found: Protection, aim: Aim, samples: FloatArray) -> Estim
     rows = found.rows(aim)
     if not rows.any():
         return NOTHING
-    value = aim.score_displacement(found.worst(aim).displacement[aim.measure][rows])
+    value = found.score_worst(aim)
     drawn = draw_exceeded(found, aim, rows, samples)
     most = np.maximum(drawn, value)
     for between in _list_between(found.winners, aim, rows, value):
