@@ -79,6 +79,15 @@ def test_the_tables_are_those_of_the_json(setup):
     assert 0.0 < never["restricted_m"] < 20.0
 
 
+def test_it_says_beforehand_how_long_the_floor_of_drawn_worlds_takes():
+    result = call("limits", *SHORT, "--worlds", "2", "--set", 'domain={"turned_deg": [0, 360]}')
+    assert result.exit_code == 0, result.output
+    line = "floor of 2 worlds, each from switch-on on: some 1 min of a processor"
+    assert line in result.stderr.splitlines()
+    assert line not in result.stdout
+    assert "floor of" not in call(*LINE).stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -193,7 +193,8 @@ def test_an_interrupt_ends_the_program_before_the_interpreter_and_is_not_dropped
     assert (found, said) == (printed, b"")
 
 
-def test_progress_leaves_no_thread_that_nobody_waits_for():
+def test_progress_leaves_no_thread_that_nobody_waits_for(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
     before = set(threading.enumerate())
     with progress(1.0) as bar:
         bar.advance(0.5, "half")

@@ -1,7 +1,8 @@
 """The table of all detectors in the world of the standard suite: played, kept as JSON with its
 digest, and shown.
 
-    python -m tools.headlines     # plays what is missing, into results/headlines
+    python -m tools.headlines                  # plays what is missing, into results/headlines
+    python -m tools.headlines --scores-only    # scores what was played there, by whatever code
 
 All detectors work at 0.2 false alarms an hour; ramps, open-loop optima and feedback meet each of
 them.  Their bracket is shown with what was achieved.  `FIRST`, that of the first suite, is kept for
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.folder import write_json
+from spoofgym.bench.experiments.campaign import CampaignResults, summarize
 from spoofgym.bench.report import campaign as report
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.scores.campaign import compute_bounds, extract_name
@@ -48,11 +50,13 @@ COLUMNS = {
 """Columns of the table before those of the attacks, and what they are in the campaign's."""
 
 
-def play_world(out: Path, sizes: list[str]) -> dict[str, Any]:
+def play_world(out: Path, sizes: list[str], play: bool) -> dict[str, Any]:
+    """Scores of the world of the table, of what lies in a folder, which is completed before."""
     given = [*COMMAND, *sizes]
-    words = ["-W", "ignore", "-m", "spoofgym", *given, "--out", str(out / WORLD), "--json"]
-    done = subprocess.run([sys.executable, *words], check=True, stdout=subprocess.PIPE)
-    summary = json.loads(done.stdout)
+    words = ["-W", "ignore", "-m", "spoofgym", *given, "--out", str(out / WORLD)]
+    if play:
+        subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL)
+    summary = summarize(CampaignResults.load(out / WORLD))
     found = json.loads((out / WORLD / "config.json").read_text())
     config = found["config"]
     wanted = ("campaign", "scenario", "runs", "entropy", "budget", "alert_limit_m", "attack_suite")
@@ -123,12 +127,14 @@ def main(arguments: list[str]) -> None:
     for name in ("seeds", "training-seeds", "selection-seeds"):
         parser.add_argument(f"--{name}", help="in place of the suite's own")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
+    parser.add_argument("--scores-only", action="store_true", help="play nothing, score `--out`")
     given = vars(parser.parse_args(arguments))
     worlds = json.loads(DATA_FILE.read_text())["worlds"]
     if not given.pop("tables_only"):
-        out, named = given.pop("out"), ((name, each) for name, each in given.items() if each)
+        out, play = given.pop("out"), not given.pop("scores_only")
+        named = ((name, each) for name, each in given.items() if each)
         sizes = [word for name, each in named for word in (f"--{name.replace('_', '-')}", each)]
-        kept = {WORLD: play_world(out, sizes), FIRST: worlds[FIRST]}
+        kept = {WORLD: play_world(out, sizes, play), FIRST: worlds[FIRST]}
         write_json(DATA_FILE, {"digest": compute_digest(kept), "worlds": kept}, None)
     put_between(PAGE, START, END, shown(json.loads(DATA_FILE.read_text())))
 

@@ -42,8 +42,8 @@ from .offsets_ppo import NUM_ENVS, PACE, PLAIN, WORLD
 
 KNOWLEDGE = {"blind": "blind", "statistics": "oracle"}
 """What the correction is of, by the words of the table."""
-FULL_SCALE_MPS = 2.0
-"""Rate that an action of 1 requests: more than an open-loop attack takes here."""
+LEAST_SCALE_MPS, ROOM = 2.0, 1.5
+"""Least rate that an action of 1 requests, and how many times the base's largest it is."""
 LOG_STD, CHECKPOINTS = -2.0, 5
 CHOICE, FINAL = 1, 2
 """Entropy of the runs on which a checkpoint is chosen, and of those that it is scored on."""
@@ -87,7 +87,8 @@ def find_base(settings: Settings, detector: str) -> dict[str, Any]:
 def make_model(settings: Settings, case: tuple[str, str, int], base: dict[str, Any]) -> PPO:
     """PPO whose first corrections are 0 but for exploration."""
     detector, knowledge, seed = case
-    below = [{"name": "rate-setpoint", "full_scale_mps": FULL_SCALE_MPS}]
+    full_scale_mps = max(LEAST_SCALE_MPS, ROOM * max(base["rates_mps"]))
+    below = [{"name": "rate-setpoint", "full_scale_mps": full_scale_mps}]
     own = {**WORLD, "detector": detector, "knowledge": KNOWLEDGE[knowledge]}
     own |= {"action": {"name": "residual", "spoofer": base, "action": below}}
     vector = SpoofVecEnv(NUM_ENVS, seed=1000 * seed, warm_pool=NUM_ENVS, **own, **PACE)

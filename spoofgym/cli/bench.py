@@ -79,13 +79,14 @@ def bench(
     budget: opt.Budget = 0.05,
     training_seeds: opt.Training = 256,
     rule: Annotated[
-        str,
+        str | None,
         Option(
-            help="How amplitudes are fitted to the budget: upper-limit, by the upper 95 % limit of "
-            "the alarm rate on the training runs, or exact, on the evaluation runs, with intervals "
-            "that include the fit."
+            help="How amplitudes are fitted to the budget: exact, on the evaluation runs, with "
+            "intervals that include the fit, or upper-limit, a pass mark, by the upper 95 % limit "
+            "of the alarm rate on the training runs. Default: exact, and upper-limit in a task of "
+            "the first suite."
         ),
-    ] = "upper-limit",
+    ] = None,
     nominal: Annotated[
         bool,
         Option(
@@ -115,7 +116,8 @@ def bench(
     every run, unless --set domain=... says otherwise.
     """
     from ..bench.experiments.campaign import Campaign
-    from ..bench.experiments.suite import RULE, SIZES, SPOOFERS, SUITES
+    from ..bench.experiments.evaluate import get_rule
+    from ..bench.experiments.suite import SIZES, SPOOFERS, SUITES
     from ..bench.runs.players import add_tuned_setting
     from ..core.registry import check_choice
     from ..simulation.engine import processors
@@ -126,11 +128,10 @@ def bench(
         refuse_decided(options, "--suite", opt.SUITE_OPTIONS)
         sizes = {**SIZES, **{key: sizes[key] for key in options.find_passed(SIZES)}}
         spoofer = [*SPOOFERS]
-        rule = rule if options.find_passed(("rule",)) else RULE
     settings: dict[str, Any] = {
         "spoofers": list(map(add_tuned_setting, opt.parse_specs(spoofer))) if spoofer else None,
         "runs": sizes["seeds"],
-        "tuning": make_tuning(sizes["training_seeds"], budget, rule),
+        "tuning": make_tuning(sizes["training_seeds"], budget, rule or get_rule(task)),
         "selection": make_selection(sizes["selection_seeds"]),
     }
     if suite_name is not None:

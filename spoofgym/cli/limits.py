@@ -78,6 +78,10 @@ def limits(
     Examples: `spoofgym limits` for the flight; `spoofgym limits --set domain={}` under its one sky;
     `spoofgym limits --detector snapshot-chi2 --detector aime` with the bounds of two detectors;
     `spoofgym limits --task T3 --figure floor.png` for a task, with a picture.
+
+    The default world and S1 take some ten minutes of a processor, as each of 32 worlds begins when
+    the receiver is switched on, up to an hour before the attack; `--worlds 4` takes one or two.
+    How far it is, and how long that takes, is printed on stderr.
     """
     from ..bench.report import limits as report
     from ..core.plots import check_picture
@@ -99,6 +103,11 @@ def limits(
     )
     setup = check_linear_victim(suite.world.setup)
     report.per_run(rate, setup)
+    count = worlds or setup.bounds.worlds
+    minutes = max(report.expect_floor(setup, count) / 60.0, 1.0)
+    if not setup.bounds.single:
+        what = f"floor of {count} worlds, each from switch-on on"
+        typer.echo(f"{what}: some {minutes:.0f} min of a processor", err=True)
     with progress(1.0) as bar:
         frontier = compute_frontier(
             setup,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Protocol
@@ -11,6 +13,8 @@ from typing import Protocol
 from . import threads as _threads
 
 REFRESH_S = 0.1  # how often the time in a bar is drawn
+PART_S, LINE_S = 10.0, 60.0
+"""Least times between lines where there is no terminal, before another part and within one."""
 
 
 class ProgressCallback(Protocol):
@@ -62,14 +66,36 @@ class _Bar:
             self._update(advance=amount, description=now)
 
 
+class _Lines:
+    """Prints how far it is, now and then, and how long it has to go."""
+
+    def __init__(self, total: float, now: str) -> None:
+        self._total, self._done, self._now = total, 0.0, now
+        self._start = self._last = time.monotonic()
+
+    def update(self, advance: float, description: str) -> None:
+        self._done += advance
+        now = time.monotonic()
+        if now - self._last >= (LINE_S if description == self._now else PART_S):
+            self._now, self._last, passed = description, now, now - self._start
+            part = min(self._done / self._total, 1.0)
+            left = passed * (1.0 - part) / part
+            times = f"{passed:.0f} s, some {left:.0f} s left"
+            print(f"{description}: {100.0 * part:.0f} %, {times}", file=sys.stderr, flush=True)
+
+
 @contextmanager
 def show_progress(
     total: float, *, start: str = "", interrupted: Callable[[], object] = lambda: False
 ) -> Iterator[ProgressCallback]:
-    """Show a bar on stderr until the block ends; `interrupted` reports a lost Ctrl-C."""
+    """Show a bar on stderr until the block ends, or, where that is no terminal, a line now and
+    then; `interrupted` reports a lost Ctrl-C."""
     import rich.progress as bars
     from rich.console import Console
 
+    if not Console(stderr=True).is_terminal:
+        yield _Bar(_Lines(max(total, 1e-9), start).update, interrupted)
+        return
     shown = bars.Progress(
         bars.TextColumn("{task.description}"),
         bars.BarColumn(),

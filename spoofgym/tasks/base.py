@@ -61,6 +61,12 @@ class Task:
         return name_environment(self.key, self.version)
 
     @property
+    def rule(self) -> str:
+        """How amplitudes of spoofers are fitted to the alarm budget; figures of the first suite are
+        by the upper limit of the alarm rate."""
+        return "upper-limit" if self.version == 1 else "exact"
+
+    @property
     def pooled(self) -> bool:
         return len(self.detectors) > 1
 

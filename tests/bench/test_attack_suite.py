@@ -140,6 +140,11 @@ def test_each_aim_has_its_worst_attack(found_by):
     # the tenth of twelve skies is two of them, by the attack that is worst in half of the runs
     assert len(search.skies) == 2
     assert Aim(FIRST, 0.5, skies=True) in by_aim
+    # what is tried next to a winner plays with it, for the interval alone
+    beside = [key for key, aims in found.items() if not aims]
+    best = [key for key, aims in found.items() if Aim(FIRST, 0.5) in aims]
+    assert {m for m, _ in beside} == {0, 1}
+    assert min(v for m, v in beside if m == 0) < best[0][1] < max(v for m, v in beside if m == 0)
     # runs that do not count choose nobody
     assert search.counts[:12].tolist() == [False, False, *[True] * 8, False, False]
 
@@ -154,7 +159,7 @@ def test_a_found_curve_is_played_beyond_its_range_while_that_is_worse(found_by, 
         return {FIRST: (value if np.isinf(peak) else min(value, peak**2 / value)) + np.zeros(runs)}
 
     _, found = found_by(moved, attacks=(CURVE,))
-    ((_, value),) = found
+    ((_, value),) = (key for key, aims in found.items() if aims)
     low, high = AMPLITUDE_RANGE
     assert (min(played) < 0.99 * low, max(played) > 1.01 * high) == (peak < low, peak > high)
     assert SMALLEST <= min(played) <= max(played) <= LARGEST

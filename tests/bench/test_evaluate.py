@@ -7,10 +7,12 @@ import pytest
 
 import spoofgym
 from spoofgym.bench.experiments.campaign import run_campaign, summarize
-from spoofgym.bench.experiments.evaluate import Evaluator, evaluate
+from spoofgym.bench.experiments.evaluate import Evaluator, evaluate, get_rule
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.search.amplitude import Tuning
+from spoofgym.bench.runs.record import MEASURES
+from spoofgym.bench.search.amplitude import EXACT, UPPER_LIMIT, Tuning
 from spoofgym.spoofers import make_spoofer
+from spoofgym.tasks import TASKS
 
 from .support import RAMP
 
@@ -94,6 +96,17 @@ def test_ratios_are_paired_and_have_an_interval_of_oracles_only_where_asked_for(
     assert oracle.ratio_to(oracle).value == pytest.approx(1.0)
     both = half.ratio_to(oracle, oracles=True).value * oracle.ratio_to(half, oracles=True).value
     assert both == pytest.approx(1.0)
+
+
+def test_amplitudes_are_fitted_exactly_but_in_the_first_suite(ramp):
+    exact, upper = (evaluate("ramp", **WORLD, **SIZES, **x) for x in ({}, {"rule": UPPER_LIMIT}))
+    assert exact.at_budget["budget"] == 0.05
+    assert exact.stealthy_displacement_m.as_json() == exact.at_budget[MEASURES[0]]
+    assert upper == ramp
+    assert upper.at_budget is None
+    rules = {key: get_rule(key) for key in (None, *TASKS)}
+    assert rules.pop(None) == EXACT
+    assert rules == {key: EXACT if key[0] == "S" else UPPER_LIMIT for key in TASKS}
 
 
 def test_a_score_is_json_and_the_same_again_and_says_where_it_alarms_too_often(judge):

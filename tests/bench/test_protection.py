@@ -1,14 +1,23 @@
 """The worst attack of the suite: chosen on its own runs, kept by run, scored by formula."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
-from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
+from spoofgym.bench.runs.record import (
+    MEASURES,
+    Aim,
+    Protection,
+    Winner,
+    compute_upper_quantile,
+)
 from spoofgym.bench.scores.campaign import compare_controls, score_protection
 from spoofgym.bench.scores.detector import FamilyScore
-from spoofgym.bench.scores.scores import compute_upper_quantile
+from spoofgym.bench.scores.exceeded import estimate_exceeded
+from spoofgym.bench.scores.statistics import draw_resamples
 from spoofgym.bench.search.attack_suite import list_aims
 
 FIRST, TOTAL = MEASURES[0], "undetected_total_m"
@@ -120,6 +129,70 @@ def test_what_is_exceeded_in_few_runs_is_no_less_than_in_many():
     none = protected("never", np.zeros(100))
     few = compare_controls([], [none, protection], {"never": "any", "x": "0.2"})[-1]
     assert (few["score"], few["difference_m"]["value"]) == ("protection 5 %", 30.0)
+
+
+def test_the_interval_of_an_exceeded_displacement_is_that_of_its_resamples():
+    x = np.random.default_rng(3).exponential(10.0, 400)
+    attacks = of_winners(winner("x", [Aim(FIRST, 0.5)], x))
+    found = estimate_exceeded(attacks, Aim(FIRST, 0.5), draw_resamples(np.arange(400)))
+    assert found.value == compute_upper_quantile(x, 0.5)
+    # the median of an exponential, and the spread of its order statistic
+    spread = 1.96 * 10.0 / np.sqrt(400)
+    assert found.low == pytest.approx(found.value - spread, abs=0.5 * spread)
+    assert found.high == pytest.approx(found.value + spread, abs=0.5 * spread)
+    none = protected("x", x, np.zeros(400, dtype=np.bool_))
+    assert np.isnan(estimate_exceeded(none, Aim(FIRST, 0.5), np.zeros((9, 0))).value)
+
+
+def at_values(values, alarm_amplitude, share):
+    """One attack that moves 100 m at the value 1, and hardly anything where it alarms."""
+    played = []
+    for value in values:
+        moved = np.where(alarm_amplitude > value, 100.0 * value, 3.0 * value)
+        each = winner("curve", [Aim(FIRST, share)], moved)
+        spec = {"name": "curve", "amplitude": value}
+        played.append(replace(each, setting="amplitude", value=value, spec=spec))
+    return of_winners(*played, sky=np.arange(len(alarm_amplitude)) % SKIES)
+
+
+def draw_alarm_amplitudes(rng):
+    """(192,) logarithm of alarm amplitudes, alike under a sky; a standard normal."""
+    sky, noise = rng.standard_normal(SKIES), rng.standard_normal((6, SKIES))
+    return (0.3 * sky + np.sqrt(0.91) * noise).ravel()
+
+
+SKIES, SPREAD = 32, 0.3
+
+
+def test_an_interval_has_a_width_where_the_whole_displacement_at_one_value_is_exceeded():
+    alarms = np.exp(SPREAD * draw_alarm_amplitudes(np.random.default_rng(2)))
+    for share, values in ((0.5, [0.85, 0.95, 1.06]), (0.05, [1.3, 1.45, 1.6, 1.8])):
+        row = score_protection(at_values(values, alarms, share), [])["exceeded"][0]
+        assert row["value"] in [100.0 * value for value in values]
+        assert row["value"] + 1.0 < row["high"] < 1.2 * row["value"]
+
+
+@pytest.mark.parametrize("share", [0.5, 0.05])
+def test_intervals_hold_what_the_best_setting_between_played_ones_would_exceed(share):
+    """Nominally 95 %; at least 50 of 60 sets of runs: of a bootstrap that knows all alarm
+    amplitudes it is 92 to 94 %, and 49 and fewer of 60 have a probability of 1 % at 92 %."""
+    rng, held, aim = np.random.default_rng(5), 0, Aim(FIRST, share)
+    truth = 100.0 * np.exp(SPREAD * norm.ppf(1.0 - share))
+    for _ in range(60):
+        alarms = np.exp(SPREAD * draw_alarm_amplitudes(rng))
+        values = 0.01 * truth * 1.12 ** (np.arange(-2.0, 3.0) + rng.random())
+        found = at_values(values.tolist(), alarms, share)
+        each = estimate_exceeded(found, aim, draw_resamples(found.sky, 200))
+        held += each.low <= truth <= each.high
+    assert held >= 50
+
+
+def test_nothing_is_taken_between_values_that_get_no_farther():
+    # nor where all runs notice the larger value, which says nothing of those below it
+    for values, moved in (([0.5, 1.0, 2.0], 200.0), ([1.0, 10.0], 100.0)):
+        found = at_values(values, np.full(64, 9.0), 0.5)
+        each = estimate_exceeded(found, Aim(FIRST, 0.5), draw_resamples(found.sky, 50))
+        assert each == (moved, moved, moved)
 
 
 def test_intervals_are_wider_where_runs_under_a_sky_are_alike():

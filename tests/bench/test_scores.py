@@ -9,14 +9,13 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 
 from spoofgym.bench.runs.record import (
+    compute_upper_quantile,
     count_stanford,
     mask_valid_runs,
     undetected_displacement,
 )
 from spoofgym.bench.scores.scores import (
-    bootstrap_quantile,
     by_chance,
-    compute_upper_quantile,
     missed_in_time,
     score_stealth,
     survival,
@@ -25,7 +24,6 @@ from spoofgym.bench.scores.scores import (
 from spoofgym.bench.scores.statistics import (
     aim,
     alarm_limit,
-    draw_resamples,
     fewest_runs,
     interval,
     keeps,
@@ -115,17 +113,6 @@ def test_the_displacement_that_is_reached_in_a_share_of_the_runs(share, expected
     assert compute_upper_quantile(x, share) == expected
     assert np.mean(np.array(x) >= expected) >= share
     assert np.mean(np.array(x) > expected) < share
-
-
-def test_the_interval_of_an_exceeded_displacement_is_that_of_its_resamples():
-    x = np.random.default_rng(3).exponential(10.0, 400)
-    found = bootstrap_quantile(x, 0.5, draw_resamples(np.arange(400)))
-    assert found.value == compute_upper_quantile(x, 0.5)
-    # the median of an exponential, and the spread of its order statistic
-    spread = 1.96 * 10.0 / math.sqrt(400)
-    assert found.low == pytest.approx(found.value - spread, abs=0.5 * spread)
-    assert found.high == pytest.approx(found.value + spread, abs=0.5 * spread)
-    assert math.isnan(bootstrap_quantile([], 0.5, draw_resamples(np.arange(3))).value)
 
 
 def test_the_worst_tenth_of_the_skies():

@@ -8,7 +8,6 @@ import types
 
 import pytest
 
-from spoofgym.bench.scores.campaign import HALF
 from spoofgym.simulation.setup import Timeline
 from spoofgym.tasks import get_task
 from spoofgym.testing import check_detector
@@ -106,9 +105,8 @@ def test_make_bench_plays_rows_of_the_full_run_and_agrees_by_interval(full):
         assert {*scores} == {*whole[name]}
         for score, one in scores.items():
             other = whole[name][score]
-            if score == HALF or score.startswith("exceeded"):  # of a search on half of the runs
-                assert 0.7 * other["value"] <= one["value"] <= 1.001 * other["high"], (name, score)
-                continue
             apart = max(one["low"] - other["high"], other["low"] - one["high"])
-            # an interval may have no width: what is searched for lies on a grid
-            assert apart <= 1e-3 * abs(other["value"]), (name, score)
+            # the whole way of an attack has an interval of some centimetres, and the suite's curves
+            # are found by searches of other sizes
+            near = 0.01 if score.startswith("exceeded") else 1e-3
+            assert apart <= near * abs(other["value"]), (name, score)

@@ -32,7 +32,13 @@ from ..scores.campaign import (
     score_runs,
 )
 from ..search.amplitude import TuningResult, search_work, with_rates
-from ..search.attack_suite import SuiteAttack, WorstAttacks, expected_plays, play_winners
+from ..search.attack_suite import (
+    BESIDE,
+    SuiteAttack,
+    WorstAttacks,
+    expected_plays,
+    play_winners,
+)
 from ..search.open_loop import Optima, fit
 from .runner import Context, Experiment, run_experiment
 from .store import Cell, Reader, Result, Store
@@ -294,7 +300,8 @@ class Campaign(Experiment):
         if kind == RUNS:
             return suite.runs * (WARM_UP if spoofer and spoofer.label == "none" else 1.0)
         if kind == PROTECTION and suite.selection is not None:
-            return expected_plays(len(suite.suite_attacks), suite.selection, suite.runs)
+            plays = expected_plays(len(suite.suite_attacks), suite.selection, suite.runs)
+            return plays + sum(BESIDE) * suite.runs
         return 1.0
 
     def run_group(

@@ -24,7 +24,7 @@ from ..scores.statistics import (
     fewest_runs,
     wilson,
 )
-from ..search.amplitude import UPPER_LIMIT, Tuning, TuningResult, with_rates
+from ..search.amplitude import EXACT, UPPER_LIMIT, Tuning, TuningResult, with_rates
 from ..search.bounds import DisplacementBounds
 from ..search.open_loop import Optima, fit
 
@@ -34,10 +34,16 @@ SIFTED = 16
 """Share of the training runs that sift the amplitudes, as one in so many."""
 
 
+def get_rule(task: str | None) -> str:
+    """How amplitudes are fitted to the budget: of a task its own, else exactly."""
+    return EXACT if task is None else get_task(task).rule
+
+
 class Evaluator:
     """Scores spoofers on the same runs; their warm-up and clean twins are simulated once.
 
-    Its arguments are those of `evaluate`, but for the spoofer's.
+    Its arguments are those of `evaluate`, but for the spoofer's. Trainings choose by it, so that
+    amplitudes are fitted on training runs unless another rule is given.
 
     Examples
     --------
@@ -172,7 +178,7 @@ def evaluate(
     knowledge: str | None = None,
     label: str | None = None,
     largest_amplitude: float | None = None,
-    rule: str = UPPER_LIMIT,
+    rule: str | None = None,
     entropy: int = 0,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
@@ -185,7 +191,7 @@ def evaluate(
 
     The score is the stealthy displacement: the mean undetected displacement over the runs that are
     silent before the onset and without an attack, of which at most 5 % may alarm.  The amplitude of
-    the commands is fitted to that on training runs of their own.
+    the commands is fitted to that, and the interval includes the fit.
 
     Parameters
     ----------
@@ -199,9 +205,9 @@ def evaluate(
     runs : int
         Evaluation runs, which decide nothing.
     fit_runs : int
-        Training runs, on which an amplitude is fitted; at least 59, since fewer can't show that a
-        budget of 5 % is met.  With more of them scores of other runs lie closer together, and every
-        spoofer gets farther: 128 allow 2 alarms, 1024 allow 39.
+        Training runs, on which an amplitude is fitted by the upper limit; at least 59, since fewer
+        can't show that a budget of 5 % is met.  With more of them scores of other runs lie closer
+        together, and every spoofer gets farther: 128 allow 2 alarms, 1024 allow 39.
     amplitude : {"fitted"}, float or None
         Factor on all commands, fitted by default; None for the commands as they are.  A scripted
         spoofer by its name alone has its usual setting fitted, as a ramp its rate.
@@ -213,10 +219,11 @@ def evaluate(
     largest_amplitude : float, optional
         Of a model whose amplitude is fitted, the largest one that is tried; 10 by default.  A
         network that has not learned answers by some hundredths, and needs a thousand.
-    rule : {"upper-limit", "exact"}
-        Whether the upper 95 % limit of the alarm rate keeps the budget on the training runs, or an
-        amplitude is fitted to exactly the budget on the evaluation runs; the interval then
-        includes the fit and the threshold, and `fit_runs` only say how many runs sift.
+    rule : {"exact", "upper-limit"}, optional
+        Whether an amplitude is fitted to exactly the budget on the evaluation runs, where the
+        interval includes the fit and the threshold, and `fit_runs` only say how many runs sift; or
+        the upper 95 % limit of the alarm rate keeps the budget on the training runs, a pass mark.
+        By default exact, and the upper limit in the tasks of the first suite.
     entropy : int
         Seed of all of them.
     threads : int, optional
@@ -264,7 +271,7 @@ def evaluate(
         task,
         runs=runs,
         fit_runs=fit_runs,
-        rule=rule,
+        rule=rule or get_rule(task),
         entropy=entropy,
         threads=threads,
         progress=progress,

@@ -313,8 +313,6 @@ RATE = STANDARD_RATE
 """False alarms an hour of all detectors."""
 SPOOFERS = ("ramp", "accelerating-ramp", "open-loop", "feedback")
 """Each is fitted to the alarm budget."""
-RULE = EXACT
-"""How it is kept, where no other one is given."""
 RATE_TESTS = ("aime", "cumulative-bank", "sequential-chi2", "shewhart")
 TESTS = ("ewma", "joint-chart", "snapshot-chi2", "raim")
 """Detectors of the standard suite, by range rates and by ranges."""

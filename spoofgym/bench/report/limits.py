@@ -50,6 +50,7 @@ DRAWN = {
     "certain": (ORANGE, "missed in one of a thousand"),
 }
 """Purposes with floors that are drawn over time, their colours and labels."""
+EPOCH_S = 0.007  # of a processor, of the floor of one world, for an epoch before the attack
 UNBOUNDED = "unbounded"
 NO_POSITION = "the restricted attack is a false position, which this one does not command"
 
@@ -116,6 +117,14 @@ def build_limit_record(
     if len(frontier.times_s):
         record["course"] = _course(frontier, p_fa, budget)
     return record
+
+
+def expect_floor(setup: TightlyCoupledSetup, worlds: int) -> float:
+    """Time that the floor of some drawn worlds takes [s of a processor]; ages are log-uniform."""
+    youngest, oldest = setup.youngest, setup.onset
+    drawn = youngest < oldest
+    epochs = (oldest - youngest) / math.log(oldest / youngest) if drawn else oldest
+    return EPOCH_S * worlds * epochs
 
 
 def add_bounds(record: Record, suite: Suite, show: ProgressBar, worlds: int) -> None:

@@ -284,6 +284,10 @@ class Protection:
             several, key=lambda each: aim.score_displacement(each.displacement[aim.measure][rows])
         )
 
+    def score_worst(self, aim: Aim) -> float:
+        """What the worst attack on the evaluation runs achieves of an aim."""
+        return aim.score_displacement(self.worst(aim).displacement[aim.measure][self.rows(aim)])
+
     def rows(self, aim: Aim) -> NDArray[np.bool_]:
         """(R,) which runs an aim is about."""
         if not aim.skies or self.skies is None:

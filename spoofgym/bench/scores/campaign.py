@@ -32,12 +32,11 @@ from ..runs.record import (
     Protection,
     RunRecord,
     Winner,
-    compute_upper_quantile,
 )
+from .exceeded import draw_exceeded, estimate_exceeded
 from .scores import (
     ALIKE,
     SHARES,
-    bootstrap_quantile,
     by_chance,
     missed_in_time,
     per_hour,
@@ -48,7 +47,6 @@ from .scores import (
 from .statistics import (
     NOTHING,
     Estimate,
-    FloatArray,
     bootstrap_mean,
     clopper_pearson,
     clustered_proportion,
@@ -215,21 +213,17 @@ def _compare_protections(
         return
     for share in SHARES:
         aim = Aim(MEASURES[0], share)
-        x, y = (each.worst(aim).displacement[aim.measure] for each in (mine, theirs))
         both = mine.counts & theirs.counts
         samples = draw_resamples(select_clusters(mine.sky)[both])
-        difference = _compare_quantiles(x[both], y[both], samples, share)
-        size = compute_upper_quantile(y[both], share)
-        yield f"protection {100 * share:g} %", None, difference, size
-
-
-def _compare_quantiles(x: FloatArray, y: FloatArray, samples: FloatArray, share: float) -> Estimate:
-    if not len(x):
-        return NOTHING
-    drawn = [largest_of_share(each, share, samples) for each in (x, y)]
-    return percentiles(
-        compute_upper_quantile(x, share) - compute_upper_quantile(y, share), drawn[0] - drawn[1]
-    )
+        x, y = (
+            aim.score_displacement(each.worst(aim).displacement[aim.measure][both])
+            for each in (mine, theirs)
+        )
+        difference = NOTHING
+        if both.any():
+            drawn = [draw_exceeded(each, aim, both, samples) for each in (mine, theirs)]
+            difference = percentiles(x - y, drawn[0] - drawn[1])
+        yield f"protection {100 * share:g} %", None, difference, y
 
 
 STEALTHY, HALF = "stealthy displacement", "exceeded in 50 %"
@@ -467,18 +461,15 @@ def _score_aim(found: Protection, aim: Aim) -> dict[str, Any]:
     """What the worst attack exceeds in a share of the runs."""
     assert aim.share is not None  # as chosen by the caller
     winner, rows = found.worst(aim), found.rows(aim)
-    x = winner.displacement[aim.measure][rows]
     # the worst skies are few, and the interval is for these alone
     alike = np.arange(len(found.sky)) if aim.skies else select_clusters(found.sky)
-    estimate = bootstrap_quantile(x, aim.share, draw_resamples(alike[rows]))
-    if aim.skies:
-        everywhere = aim._replace(skies=False)
-        attack = found.worst(everywhere).displacement[aim.measure][found.counts]
-        if estimate.value < (1.0 - ALIKE) * everywhere.score_displacement(attack):
-            estimate = NOTHING  # the few runs of the choice have not found the worst skies
+    estimate = estimate_exceeded(found, aim, draw_resamples(alike[rows]))
+    everywhere = found.score_worst(aim._replace(skies=False))
+    if aim.skies and estimate.value < (1.0 - ALIKE) * everywhere:
+        estimate = NOTHING  # the few runs of the choice have not found the worst skies
     value = estimate.as_json()
     named = {"measure": aim.measure, "share": aim.share, "worst_skies": aim.skies}
-    return {**named, "runs": len(x), **value, **_attack(winner)}
+    return {**named, "runs": int(rows.sum()), **value, **_attack(winner)}
 
 
 def _hazardous(found: Protection, measure: str, limit: float) -> dict[str, Any]:

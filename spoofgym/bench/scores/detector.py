@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runs.record import MEASURES, Aim, Protection, Winner
-from .scores import SHARES, bootstrap_quantile, per_hour, select_clusters
+from .exceeded import estimate_exceeded
+from .scores import SHARES, per_hour, select_clusters
 from .statistics import (
     Estimate,
     FloatArray,
@@ -53,9 +54,8 @@ class FamilyScore(NamedTuple):
 
     def estimate_quantile(self, share: float) -> Estimate:
         """What the worst attack exceeds in a share of the runs [m], with its 95 % interval."""
-        counts, winner = self.protection.counts, self.protection.worst(Aim(MEASURES[0], share))
-        samples = draw_resamples(select_clusters(self.protection.sky)[counts])
-        return bootstrap_quantile(winner.displacement[MEASURES[0]][counts], share, samples)
+        clusters = select_clusters(self.protection.sky)[self.protection.counts]
+        return estimate_exceeded(self.protection, Aim(MEASURES[0], share), draw_resamples(clusters))
 
     def resample_hmi(self) -> FloatArray:
         """(S,) probability of hazardously misleading information under attack, in each bootstrap
@@ -112,7 +112,8 @@ class DetectorScore:
 
         def badness(family: FamilyScore) -> tuple[float, float]:
             p = family.p_hmi.value
-            return (-1.0 if math.isnan(p) else p, family.estimate_quantile(SHARES[0]).value)
+            farthest = family.protection.score_worst(Aim(MEASURES[0], SHARES[0]))
+            return (-1.0 if math.isnan(p) else p, farthest)
 
         return max(self.families, key=badness)
 

@@ -32,15 +32,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from ...detectors.calibration_file import hourly_rate
-from ..runs.record import Mask, compute_upper_quantile
+from ..runs.record import Mask
 from .statistics import (
     CONFIDENCE,
-    NOTHING,
     Estimate,
     FloatArray,
     alarm_limit,
-    largest_of_share,
-    percentiles,
 )
 
 SHARES = (0.5, 0.05)  # shares of the runs in which the headlines' displacements are exceeded
@@ -110,14 +107,6 @@ def per_hour(per_run: Estimate, window_s: float) -> dict[str, float | None]:
         name: round(rate, 6) if math.isfinite(rate) else None
         for name, rate in zip(Estimate._fields, rates, strict=True)
     }
-
-
-def bootstrap_quantile(displacement: ArrayLike, share: float, samples: FloatArray) -> Estimate:
-    """`exceeded` with its percentile interval; `samples` (S, R) bootstrap samples of the runs."""
-    x = np.asarray(displacement, dtype=np.float64)
-    if not len(x):
-        return NOTHING
-    return percentiles(compute_upper_quantile(x, share), largest_of_share(x, share, samples))
 
 
 def by_chance(first_alarm: ArrayLike, twin_alarm: ArrayLike) -> Mask:

@@ -70,7 +70,8 @@ class SpooferScore:
         return sees_statistics(self.knowledge)
 
     def ratio_to(self, other: SpooferScore, *, oracles: bool = False) -> Estimate:
-        """Displacement relative to another spoofer's on the same runs, with a paired 95 % interval.
+        """Displacement relative to another spoofer's on the same runs, with a paired 95 % interval,
+        which is that of the runs at the amplitudes that were found.
         Raises a ValueError where the runs are not the same, or where only one of the two is an
         oracle and `oracles` is not set."""
         if self.oracle != other.oracle and not oracles:

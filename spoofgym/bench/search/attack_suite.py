@@ -17,7 +17,8 @@ The search:
    all runs of the selection, and the best one there is the winner.
 3. The winners play the evaluation runs, which have decided nothing, but for one thing: the worst of
    all winners counts, whatever each was chosen for.  That leans a little to the high side, and no
-   figure contradicts another one.
+   figure contradicts another one.  The next values of the setting play with the winners for a share
+   of the runs, so that the interval of the figure is not that of one value (`scores.exceeded`).
 """
 
 from __future__ import annotations
@@ -153,6 +154,7 @@ def _dash(part: float, context: SpooferContext) -> dict[str, Any]:
 
 
 NEIGHBOURS = (-0.35, 0.35)  # steps of the grid that are tried around the best of its values
+BESIDE = 2, 3  # tried values below and above a winner that play with it
 JUST_PAST = 1.005
 """What an amplitude that just passes an alert limit displaces by, in parts of that."""
 SILENT = 0.5  # what runs without an alarm reach at least, in parts of what the farthest one does
@@ -186,6 +188,8 @@ class WorstAttacks:
     neighbours: ClassVar[tuple[float, ...]] = NEIGHBOURS
     """Steps of the grid around the best of its values."""
     rounds: ClassVar[int] = 0  # how often the gaps beside the best values are halved before that
+    beside: ClassVar[tuple[int, int]] = BESIDE
+    """Tried values below and above the winners for a share that play the evaluation runs, too."""
 
     def __init__(
         self, panel: Panel, number: int, members: Sequence[SuiteAttack], settings: Selection
@@ -220,7 +224,21 @@ class WorstAttacks:
         found: AttackAims = {}
         for aim in aims:
             found.setdefault(self._best(played, aim, all_runs), []).append(aim)
+        for key in self._list_beside(found, sifted.keys() | played.keys()):
+            found.setdefault(key, [])
         return found
+
+    def _list_beside(
+        self, found: AttackAims, tried: Iterable[tuple[int, float]]
+    ) -> list[tuple[int, float]]:
+        """Tried values beside the winners for a share of the runs."""
+        near, (below, above) = [], self.beside
+        for key, aims in found.items():
+            if any(aim.share is not None and aim.measure == MEASURES[0] for aim in aims):
+                own = sorted(each for each in tried if each[0] == key[0])
+                k = own.index(key)
+                near += own[max(k - below, 0) : k + above + 1]
+        return near
 
     def _play(self, keys: Iterable[tuple[int, float]], runs: int) -> Search[Played]:
         """Displacements of the first runs, by member and value."""
@@ -351,7 +369,7 @@ class FamilyAttacks(WorstAttacks):
     """The search for the worst attacks of a family. `antenna_m`: range of a meaconer's antenna."""
 
     measures, by_skies = MEASURES[:1], False
-    neighbours, rounds = FINE, ROUNDS
+    neighbours, rounds, beside = FINE, ROUNDS, (0, 0)
 
     def __init__(self, *panel: Any, antenna_m: tuple[float, float]) -> None:
         super().__init__(*panel)

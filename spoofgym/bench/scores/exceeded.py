@@ -1,0 +1,93 @@
+r"""What the worst attack exceeds in a share of the runs, with an interval that includes the choice.
+
+The figure is the largest over all attacks that played the evaluation runs.  A setting of an attack
+has a few values that were played, and the figure often is the whole displacement at one of them:
+with this value alone the interval would have no width.  So the bootstrap (`efron1979`) looks for
+the worst attack again in every draw, and the interval reaches
+
+- from the lower end of what the played attacks exceed
+- to the upper end of what these and settings between two played values of one attack exceed.
+
+A part t of the way (in the logarithm) from one value to the next, the share of alarms and the
+displacements are between theirs, too.  With the displacements D and D' at the two, and those of the
+farthest runs M and M',
+
+.. math:: P_t(D > d) = (1 - t) P(D (M' / M)^t > d) + t P(D' (M / M')^{1 - t} > d)
+
+The figure itself is that of an attack that was played.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from itertools import groupby, pairwise
+
+import numpy as np
+
+from ..runs.record import Aim, Mask, Protection, Winner
+from .statistics import NOTHING, Estimate, FloatArray, largest_of_share, percentiles
+
+PARTS = np.arange(1, 8) / 8.0  # of the way between two values of a setting
+Between = tuple[FloatArray, FloatArray, float]
+"""Displacements (R') at two values of a setting, scaled to a part of the way, and that part."""
+
+
+def estimate_exceeded(found: Protection, aim: Aim, samples: FloatArray) -> Estimate:
+    """What the worst attack exceeds in the share of an aim [m], with its 95 % interval. `samples`
+    (S, R') bootstrap samples of the runs that the aim is about."""
+    rows = found.rows(aim)
+    if not rows.any():
+        return NOTHING
+    value = found.score_worst(aim)
+    drawn = draw_exceeded(found, aim, rows, samples)
+    most = np.maximum(drawn, value)
+    for between in _list_between(found.winners, aim, rows, value):
+        np.maximum(most, _draw_between(between, aim, samples, value), out=most)
+    return Estimate(value, percentiles(value, drawn).low, percentiles(value, most).high)
+
+
+def draw_exceeded(found: Protection, aim: Aim, rows: Mask, samples: FloatArray) -> FloatArray:
+    """(S,) what the worst attack of each bootstrap sample exceeds [m]. `samples` (S, R') of the
+    `rows` (R,), of which there is at least one."""
+    moved = [each.displacement[aim.measure][rows] for each in found.winners]
+    moved.sort(key=aim.score_displacement, reverse=True)
+    most = _draw(moved[0], aim, samples)
+    for each in moved[1:]:
+        if each.max() > most.min():  # of the others none can be the worst
+            np.maximum(most, _draw(each, aim, samples), out=most)
+    return most
+
+
+def _draw(displacement: FloatArray, aim: Aim, samples: FloatArray) -> FloatArray:
+    assert aim.share is not None  # as chosen by the caller
+    return largest_of_share(displacement, aim.share, samples)
+
+
+def _draw_between(between: Between, aim: Aim, samples: FloatArray, least: float) -> FloatArray:
+    """(S,) what is exceeded there, and `least` where that is more."""
+    near, far, part = between
+    x, y = near > least, far > least
+    weights = [(1.0 - part) * samples[:, x], part * samples[:, y]]
+    rest = samples.sum(axis=1) - sum(each.sum(axis=1) for each in weights)
+    moved = np.concatenate([near[x], far[y], [least]])
+    return _draw(moved, aim, np.column_stack([*weights, rest]))
+
+
+def _list_between(
+    winners: Sequence[Winner], aim: Aim, rows: Mask, least: float
+) -> Iterator[Between]:
+    """Of all values of a setting that are next to each other, the larger of which gets farther than
+    `least`."""
+    order = sorted(winners, key=lambda each: (_name_attack(each), each.value))
+    for _, several in groupby(order, key=_name_attack):
+        for pair in pairwise(several):
+            near, far = (each.displacement[aim.measure][rows] for each in pair)
+            if near.any() and far.max() > least:
+                ratio = float(far.max() / near.max())
+                yield from ((near * ratio**t, far * ratio ** (t - 1.0), t) for t in PARTS)
+
+
+def _name_attack(winner: Winner) -> str:
+    """Equal for the values of one attack's setting."""
+    return json.dumps({**winner.spec, winner.setting: None}, sort_keys=True)
