@@ -509,6 +509,11 @@ def onnx(
     judges = hasattr(inner.core, "duel")
     if judges and amplitude != 1.0:
         raise ValueError(f"a detector has no commands to scale: `amplitude` = {amplitude:g}")
+    if amplitude != 1.0 and inner.core.commands.base is not None:
+        raise ValueError(
+            f"`amplitude` = {amplitude:g} would scale the correction alone: give the base of "
+            "the environment its `amplitude`, and let the policy learn with that"
+        )
     own = [] if judges else own_columns(inner.core.observer.names)
     actor = Actor(model, normalization or get_normalization(model), amplitude, len(low), own)
     with evaluating(actor):

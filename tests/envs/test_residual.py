@@ -115,6 +115,8 @@ def test_a_policy_plays_with_its_base_wherever_it_plays(tmp_path):
     torch.nn.init.zeros_(net.weight)
     torch.nn.init.constant_(net.bias, 0.5)
     path = str(tmp_path / "mine.onnx")
+    with pytest.raises(ValueError, match="would scale the correction alone"):
+        onnx(net, env, path, amplitude=0.9)
     card = onnx(net, env, path)
     assert card.action.names == ("along_target_setpoint_correction",)
     runs = {"runs": 4, "amplitude": None}
