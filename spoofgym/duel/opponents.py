@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from ..detectors import Calibrated, Detector, detector_in_world
 from ..detectors.learned import PolicyDetector
 from ..detectors.pool import PooledDetector, draw_members, normalize_weights
-from ..envs.context import apply_pace
+from ..envs.context import apply_pace, warn_of_headings
 from ..envs.observer import Observer
 from ..envs.options import checked_action
-from ..envs.spoofer_binding import bound_spoofer, warn_of_headings
+from ..envs.spoofer_binding import bound_spoofer
 from ..envs.terms.action import CommandMap, Decisions
 from ..envs.terms.observation import Snapshot
 from ..simulation.setup import Setup

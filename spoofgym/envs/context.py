@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterable
 from numbers import Real
 
 from ..simulation.setup import Setup
 from ..spoofers import ScriptedSpoofer, Spoofer, SpooferContext
-from ..spoofers.base import TARGET
+from ..spoofers.base import TARGET, has_heading
 from ..spoofers.residual import BoundBase
 from .observer import Observer
 from .terms.action import CommandMap
@@ -102,6 +104,25 @@ def _check_heading(spoofer: Spoofer, commands: CommandMap, setup: Setup) -> None
     )
 
 
+def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
+    commands = setup.action_names
+    if setup.target_heading_deg != "random" or not has_heading(commands):
+        return
+    fixed = [
+        f"{type(each).__name__} (heading_deg={each.heading_deg:g})"
+        for each in spoofers
+        if isinstance(each, ScriptedSpoofer) and each.heading_deg != TARGET
+    ]
+    if fixed:
+        warnings.warn(
+            "the target direction is drawn for every episode (target_heading_deg='random'), but "
+            f"along a fixed heading push {', '.join(fixed)}; with heading_deg='{TARGET}' a "
+            "scripted spoofer follows the target direction",
+            UserWarning,
+            stacklevel=3,
+        )
+
+
 def bind_base(
     setup: Setup, receivers: int, observer: Observer, commands: CommandMap
 ) -> BoundBase | None:
@@ -109,4 +130,6 @@ def bind_base(
     if commands.base is None:
         return None
     check_fit(commands.base.spoofer, commands, setup)
+    if not commands.along_target:
+        warn_of_headings([commands.base.spoofer], setup)
     return commands.base.bind(spoofer_context(setup, receivers, observer, commands))

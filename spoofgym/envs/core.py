@@ -281,8 +281,13 @@ class SpoofCore:
         return Snapshot(self.setup, engine.simulator, self.score.step_count, engine.twin)
 
     def observe(self) -> NDArray[np.float32]:
-        self._seen = self.observer.observe(self.snapshot())
-        return self._seen
+        return self._remember(self.observer.observe(self.snapshot()))
+
+    def _remember(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Keep what a base observes, apart from the array that is handed out."""
+        if self._base is not None:
+            self._seen = observation.copy()
+        return observation
 
     def reset(
         self, rngs: Rngs, rows: Rows | None = None, given: FixedChoices | None = None
@@ -330,7 +335,7 @@ class SpoofCore:
             observation = self.observe()
         else:
             result = StepResult(self._fused.layout)
-            observation = self._seen = self._epoch(action, result)
+            observation = self._remember(self._epoch(action, result))
         if self._reports_more:
             if self.setup.attack.capture is not None:
                 result.extra["captured_channels"] = self.engine.simulator.captured_channels()

@@ -6,7 +6,6 @@ import dataclasses
 import inspect
 import json
 import shlex
-import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from numbers import Real
@@ -18,15 +17,13 @@ from ..policies.card import SpooferCard
 from ..simulation.monitors import Monitor, PastPositions, needed_monitors
 from ..simulation.setup import Setup
 from ..spoofers import (
-    ScriptedSpoofer,
     Spoofer,
     SpooferContext,
     make_spoofer,
 )
-from ..spoofers.base import TARGET, has_heading
 from ..spoofers.build import SpooferSpec, card_behind
 from ..spoofers.learned import LearnedSpoofer, refuse_changes
-from .context import apply_pace, check_fit, spoofer_context
+from .context import apply_pace, check_fit, spoofer_context, warn_of_headings
 from .core import SpoofCore
 from .factory import VICTIMS, composable, find_environment, list_parameters, make_setup
 from .observer import Observer
@@ -121,25 +118,6 @@ def _diff_bases(card: SpooferCard, core: SpoofCore) -> list[str]:
         return []
     here = {"action": describe_terms("action", core.settings["action"])}
     return format_card_diff({"action": card.env_kwargs.get("action")}, here)
-
-
-def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
-    commands = setup.action_names
-    if setup.target_heading_deg != "random" or not has_heading(commands):
-        return
-    fixed = [
-        f"{type(each).__name__} (heading_deg={each.heading_deg:g})"
-        for each in spoofers
-        if isinstance(each, ScriptedSpoofer) and each.heading_deg != TARGET
-    ]
-    if fixed:
-        warnings.warn(
-            "the target direction is drawn for every episode (target_heading_deg='random'), but "
-            f"along a fixed heading push {', '.join(fixed)}; with heading_deg='{TARGET}' a "
-            "scripted spoofer follows the target direction",
-            UserWarning,
-            stacklevel=3,
-        )
 
 
 def make_command_map(spoofer: Spoofer, setup: Setup) -> CommandMap:

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..policies.card import SpooferCard
-from .base import TARGET_NAMES, FloatArray, Spoofer, SpooferContext
+from .base import TARGET_NAMES, FloatArray, ScriptedSpoofer, Spoofer, SpooferContext
+from .curves import ActionCurves
+from .scaled import Scaled
 
 SHARE = 0.4
 """Scale of corrections, as a part of the largest action of a base over an episode."""
@@ -46,7 +48,9 @@ class BaseAttack(NamedTuple):
     def _find_largest(self, context: SpooferContext) -> float:
         """Largest action over an episode; a base that looks at more than a direction has none that
         is known beforehand."""
-        if not self.spoofer.knowledge.startswith("blind") or hasattr(self.spoofer, "card"):
+        plain = self.spoofer.spoofer if isinstance(self.spoofer, Scaled) else self.spoofer
+        planned = isinstance(plain, ScriptedSpoofer | ActionCurves)
+        if not (planned and plain.knowledge.startswith("blind")):
             raise ValueError(
                 f"`scale` must be given with the base {self.spoofer.label or self.spoofer!r}, "
                 "whose actions depend on what it sees"

@@ -78,6 +78,25 @@ def test_a_scale_is_a_part_of_the_largest_action_of_the_base():
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
 
 
+def test_a_base_observes_what_it_was_shown_even_if_the_array_is_changed_then():
+    heading = {"target_heading_deg": "random", "timeline": SHORT, "detector": "never"}
+    env = ResidualAction(gym.make(ID, **heading), {**RAMP, "heading_deg": "target"})
+    expected = play(env, lambda _: np.zeros(1))
+
+    def spoil(seen):
+        seen *= 0.5
+        return np.zeros(1)
+
+    np.testing.assert_array_equal(play(env, spoil)[:, 0], expected[:, 0])
+
+
+def test_a_fixed_heading_beside_drawn_ones_is_warned_of():
+    action = {"name": "rate-setpoint", "dimensions": 2}
+    env = gym.make(ID, target_heading_deg="random", timeline=SHORT, action=action)
+    with pytest.warns(UserWarning, match="along a fixed heading push Ramp"):
+        ResidualAction(env, {"name": "ramp", "rate_mps": 0.3})
+
+
 def test_what_does_not_fit_is_refused_with_what_would():
     def make(base, scale=None, **settings):
         return ResidualAction(gym.make(ID, timeline=SHORT, **settings), base, scale)
@@ -91,6 +110,8 @@ def test_what_does_not_fit_is_refused_with_what_would():
     with pytest.raises(ValueError, match="statistic"):
         make("feedback", 0.1, knowledge="blind")
     with pytest.raises(ValueError, match="which commands nothing"):
+        make({"name": "action-curves", "curves": [[0.0, 0.0]]})
+    with pytest.raises(ValueError, match="depend on what it sees"):
         make("none")
     with pytest.raises(ValueError, match="a correction stands alone"):
         gym.make(ID, action=["full-command", {"name": "residual", "spoofer": "ramp"}])
@@ -133,6 +154,18 @@ def test_a_policy_plays_with_its_base_wherever_it_plays(tmp_path):
     np.testing.assert_allclose(both[0].displacement_m, both[1].displacement_m, rtol=1e-5)
     made = attach(path, env)
     played = play(env, lambda seen: made.act(seen[None])[0])
+    again = ResidualAction(gym.make(ID, **own), {**RAMP, "heading_deg": 90.0}, 0.2)
+    attach(path, again)  # the same base in other words
+    plain = str(tmp_path / "base.onnx")
+    onnx(net, gym.make(ID, **own), plain)
+    above = str(tmp_path / "above.onnx")
+    onnx(net, ResidualAction(gym.make(ID, **own), plain, 0.2), above)
+    spoofgym.evaluate(above, **runs)
+    torch.nn.init.constant_(net.bias, 0.1)
+    onnx(net, gym.make(ID, **own), plain)
+    with pytest.raises(ValueError, match="sha256"):  # another base under the same name
+        spoofgym.evaluate(above, **runs)
+    torch.nn.init.constant_(net.bias, 0.5)
     with torch.no_grad():
         alone = play(env, lambda seen: net(torch.as_tensor(seen)[None])[0].numpy())
     np.testing.assert_allclose(played, alone, atol=1e-4)

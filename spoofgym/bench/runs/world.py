@@ -17,13 +17,12 @@ from ...core.settings import describe
 from ...detectors import Detector, OperatingPoint
 from ...detectors.calibrated import calibrated_parts, resolve_thresholds
 from ...duel.learner import describe_environment
-from ...envs.context import spoofer_context
+from ...envs.context import spoofer_context, warn_of_headings
 from ...envs.factory import DEFAULT_ID, choose_env_id, find_environment, make_setup
 from ...envs.spoofer_binding import (
     SETUPS,
     get_tuning_range,
     monitors_for,
-    warn_of_headings,
 )
 from ...simulation import LooselyCoupledSetup, SnapshotSetup, TightlyCoupledSetup, WheeledRobotSetup
 from ...simulation import loose as loosely_coupled

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ...core.declared import setting, settings_record
 from ...simulation.domain import FloatArray
 from ...simulation.setup import Setup
-from ...spoofers.base import Spoofer
 from ...spoofers.build import make_spoofer, spec_of_spoofer
 from ...spoofers.residual import SUFFIX, BaseAttack
 from .._kernels import follow_rate
@@ -238,8 +237,8 @@ class Residual:
 
     def __post_init__(self) -> None:
         made = self.make_base().spoofer  # or what is wrong with it
-        if isinstance(self.spoofer, Spoofer):
-            object.__setattr__(self, "spoofer", spec_of_spoofer(made))
+        # in full, with the digest of a file: cards and stored results are of this base alone
+        object.__setattr__(self, "spoofer", spec_of_spoofer(made))
 
     def make_base(self) -> BaseAttack:
         """The base, not bound yet."""
