@@ -1,7 +1,7 @@
 """Play the tasks of spoofgym-bench-v2, hold them against the admission test, keep their cards.
 
     python -m tools.task_cards                  # plays what is missing, into results/tasks
-    python -m tools.task_cards S2 --seeds 500   # one of them
+    python -m tools.task_cards S2 --entropy 1   # one of them, on other runs
     python -m tools.task_cards S1 --campaign results/headlines/S1   # from the standard suite
 
 The conditions of the test are those of docs/tasks.md, on evaluation runs, which decide nothing.
@@ -73,6 +73,7 @@ def build_suite(task: Task, sizes: dict[str, int]) -> Suite:
         **settings,
         spoofers=[add_tuned_setting({"name": name}) for name in SPOOFERS],
         runs=sizes["seeds"],
+        entropy=sizes["entropy"],
         tuning=Tuning(runs=sizes["training"], sift_runs=sizes["training"] // 4, rule=EXACT),
         selection=Selection(runs=sizes["selection"], sift_runs=max(sizes["selection"] // 4, 1)),
         notes=(f"task {task.key} of {task.suite}",),
@@ -119,6 +120,7 @@ def make_card(task: Task, results: CampaignResults, age_s: FloatArray) -> dict[s
     card = {
         "campaign": summary["campaign"],
         "runs": summary["runs"],
+        "entropy": results.config["entropy"],
         "detector": own,
         "alert_limit_m": task.alert_limit_m,
         "scores_m": scores,
@@ -242,15 +244,17 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--seeds", type=int, default=500, help="evaluation runs of every cell")
     parser.add_argument("--training-seeds", type=int, default=192, help="of which a quarter sifts")
     parser.add_argument("--selection-seeds", type=int, default=96)
+    parser.add_argument("--entropy", type=int, default=0, help="of all runs")
     parser.add_argument("--campaign", type=Path, help="finished one in the world of one task")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     given = parser.parse_args(arguments)
     sizes = {name: getattr(given, f"{name}_seeds") for name in ("training", "selection")}
+    sizes |= {"seeds": given.seeds, "entropy": given.entropy}
     for key in () if given.tables_only else given.tasks or PLAYED:
         card = (
             read_campaign(get_task(key), given.campaign)
             if given.campaign
-            else play_task(get_task(key), given.out, {**sizes, "seeds": given.seeds})
+            else play_task(get_task(key), given.out, sizes)
         )
         keep_cards(CARD_FILE, {**tasks.stored_cards(), key: card}, TASKS)
         print(key, json.dumps(card.get("admission"), indent=1), flush=True)

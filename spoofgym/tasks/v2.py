@@ -64,10 +64,10 @@ TASKS: dict[str, Task] = {
         ),
         Task(
             "S2",
-            "aviation sensors, ten minutes in a terminal area, alert limit 80 m",
+            "aviation sensors, ten minutes in a terminal area, alert limit 70 m",
             _world({"name": "trolley", "flight": "terminal"}, 600.0, 30.0),
             (_reference(600.0),),
-            80.0,
+            70.0,
         ),
         Task(
             "S3",
