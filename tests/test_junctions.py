@@ -23,10 +23,15 @@ from spoofgym.export import onnx
 from .command_line import call, refused
 from .envs.support import SHORT
 
-IDS = ["TightlyCoupled-v0", "Offsets-v0", "Zhong2025-v0", "BenchS1-v2"]
+IDS = [
+    *("TightlyCoupled-v0", "Offsets-v0", "Zhong2025-v0"),
+    *("BenchS1-v2", "BenchS2-v2", "BenchS3-v2"),
+]
+LONGER = ["timeline", "domain", "receiver"]
 OTHERWISE = {
     "Offsets-v0": ["control", "basis"],
     "Zhong2025-v0": ["scenario"],
+    **dict.fromkeys(("BenchS2-v2", "BenchS3-v2"), ["scenario", *LONGER]),
 }
 """What has to be added to the default world for a policy of an id, none for those not named."""
 FEW = {"runs": 2, "fit_runs": 59, "amplitude": 1.0, "detector": "never"}

@@ -34,10 +34,8 @@ from .terms.observation import REPORTED, default_terms
 SETUPS: dict[str, type[Setup]] = {kind.env_id: kind for kind in VICTIMS.values()}
 """Kinds of victims by the environments that have their defaults."""
 OF_OFFSETS = ("control", "basis", "channels")
-SHAPING = (
-    *("scenario", "attack", *OF_OFFSETS, "timeline", "domain", "target_heading_deg"),
-    *("decision_interval_s", "between"),
-)
+WORLD = ("scenario", "attack", *OF_OFFSETS, "timeline", "domain", "target_heading_deg")
+SHAPING = (*WORLD, "decision_interval_s", "between")
 """Settings of a world on which it depends what a spoofer observes and how it acts."""
 
 
@@ -135,7 +133,7 @@ def monitors_for(spoofers: Iterable[Spoofer], setup: Setup) -> list[Monitor]:
 
 
 def get_tuning_range(spoofer: Spoofer, setup: Setup) -> tuple[float, float]:
-    return type(spoofer).tuning_range(spoofer_context(apply_pace(setup, spoofer)))
+    return type(spoofer).tuning_range(spoofer_context(_apply_pace(setup, spoofer)))
 
 
 def bound_spoofer(
@@ -143,7 +141,7 @@ def bound_spoofer(
 ) -> tuple[SpooferContext, Observer, CommandMap]:
     """What a spoofer is given that commands the attack itself, what it observes, its commands. It
     decides at its own pace."""
-    setup = apply_pace(setup, spoofer)
+    setup = _apply_pace(setup, spoofer)
     if REPORTED in spoofer.knowledge and not any(
         isinstance(monitor, PastPositions) for monitor in setup.monitors
     ):
@@ -156,13 +154,23 @@ def bound_spoofer(
     observer = Observer(terms, setup)
     context = spoofer_context(setup, receivers, observer, commands)._replace(base=commands.base)
     card = card_behind(spoofer)
-    found = [] if card is None else card.diff_context(context)
-    if card is not None and found:
-        raise ValueError(
-            f"{card.name!r} does not fit this attack: {'; '.join(found)}; "
-            f"{suggest_settings(card, setup)}"
-        )
+    if card is not None and (found := card.diff_context(context)):
+        raise _misfit(card, "; ".join(found), setup)
     return context, observer, commands
+
+
+def _apply_pace(setup: Setup, spoofer: Spoofer) -> Setup:
+    """World in which a spoofer decides at its own pace; its card says what is missing for it."""
+    try:
+        return apply_pace(setup, spoofer)
+    except ValueError as error:
+        card = card_behind(spoofer)
+        raise error if card is None else _misfit(card, str(error), setup) from error
+
+
+def _misfit(card: SpooferCard, found: str, setup: Setup) -> ValueError:
+    added = suggest_settings(card, setup)
+    return ValueError(f"{card.name!r} does not fit this attack: {found}; {added}")
 
 
 def suggest_settings(card: SpooferCard, setup: Setup) -> str:
@@ -176,9 +184,11 @@ def suggest_settings(card: SpooferCard, setup: Setup) -> str:
     settings = find_card_settings(card)[1]
     own, here = _settings(made_for), _settings(setup)
     names = [name for name in SHAPING if own.get(name) != here.get(name)]
-    if "scenario" in names:  # with which all else has the victim's defaults, wherever it is given
+    if "scenario" in names:
+        # with which all else has the victim's defaults, wherever it is given, and the policy its
+        # own pace
         here = {**_settings(make_setup(type(setup), {"detector": "never"})), "scenario": None}
-        names = [name for name in SHAPING if own.get(name) != here.get(name)]
+        names = [name for name in (*WORLD, "receiver") if own.get(name) != here.get(name)]
     if {*names} & {*OF_OFFSETS}:  # which make the attack
         names = [name for name in names if name != "attack" or name in settings]
     usual = {name: each.default for name, each in list_parameters(type(setup)).items()}
