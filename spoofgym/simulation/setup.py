@@ -328,6 +328,8 @@ class Setup(ABC):
             valid = f"a start is at most at {room * interval:g} s"
             if room < 0:
                 valid = f"the three take at most {(epochs - 2) * interval:g} s"
+                if self.youngest != self.onset:
+                    valid += "; `domain` and `timeline` None are those of the papers' short flights"
             raise ValueError(
                 f"an episode takes {length * interval:g} s{start} (warm-up {before:g} s, "
                 f"attack {line.attack_s:g} s, time to alert {line.time_to_alert_s:g} s, and one "

@@ -166,6 +166,7 @@ def test_mappings_of_the_past_are_those_of_the_truth_and_begin_again_with_a_sate
     ("timeline", "domain", "message"),
     [
         ({"warmup_s": 500.0}, None, "takes 660.5 s .* lasts 600 s: the three take at most 599.5 s"),
+        ({}, {"age_s": (60.0, 3600.0)}, "lasts 600 s: .*; `domain` and `timeline` None are those"),
         ({}, {"start_s": (0.0, 300.0)}, "from a start at 300 s .* a start is at most at 239.5 s"),
     ],
 )
