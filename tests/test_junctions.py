@@ -31,7 +31,7 @@ LONGER = ["timeline", "domain", "receiver"]
 OTHERWISE = {
     "Offsets-v0": ["control", "basis"],
     "Zhong2025-v0": ["scenario"],
-    **dict.fromkeys(("BenchS2-v2", "BenchS3-v2"), ["scenario", *LONGER]),
+    **{key: ["scenario", *LONGER] for key in ("BenchS2-v2", "BenchS3-v2")},
 }
 """What has to be added to the default world for a policy of an id, none for those not named."""
 FEW = {"runs": 2, "fit_runs": 59, "amplitude": 1.0, "detector": "never"}
