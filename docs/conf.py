@@ -10,7 +10,9 @@ import pkgutil
 import types
 from pathlib import Path
 
+import latex2mathml.converter
 import scipy.stats  # noqa: F401  (before torch is mocked, of whose classes it asks)
+from docutils.nodes import SkipNode
 from sphinx.addnodes import desc_annotation
 
 import spoofgym
@@ -24,6 +26,8 @@ CONTENTS = """
 docs/README
 docs/catalogue
 docs/command_line
+docs/glossary
+docs/simulated
 docs/own_data
 docs/train_your_own
 docs/learned_spoofers
@@ -79,6 +83,8 @@ html_css_files = ["site.css"]
 html_static_path = ["static"]
 
 myst_heading_anchors = 3
+myst_enable_extensions = ["dollarmath"]
+html_math_renderer = "mathml"
 
 default_role = "py:obj"
 nitpicky = True
@@ -127,6 +133,13 @@ def shorten(app, domain, objtype, content):
             note.parent.remove(note)
 
 
+def write_formula(self, node):
+    """A formula as MathML, which browsers draw without a script or a font from elsewhere."""
+    display = "block" if node.tagname == "math_block" else "inline"
+    self.body.append(latex2mathml.converter.convert(node.astext(), display=display))
+    raise SkipNode
+
+
 def exists(name):
     """Whether a dotted name is a module, or something in one."""
     try:
@@ -138,6 +151,7 @@ def exists(name):
 
 def setup(app):
     """Called by Sphinx."""
+    app.add_html_math_renderer("mathml", (write_formula, None), (write_formula, None))
     app.connect("source-read", add_contents)
     app.connect("autodoc-process-docstring", first_paragraph)
     app.connect("autodoc-process-signature", written_defaults)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..receiver.epoch import Epoch
 from .averages import Aime, ClockDrift, CumulativeBank, FiniteMovingAverage
 from .base import DETECTORS, Detector, DetectorContext, Verdict
 from .build import detector_in_world, make_detector
@@ -30,6 +31,7 @@ __all__ = [
     "Cusum",
     "Detector",
     "DetectorContext",
+    "Epoch",
     "Ewma",
     "FiniteMovingAverage",
     "GlrRamp",
