@@ -29,6 +29,8 @@ FORMAT = 1
 CONFIG, CELLS = "config.json", "cells"
 HEAD, RECORD, ARRAY, FILES = "head.json", "record.json", ".npy", "files/"
 """Members of a cell's file: what it is of, what is no array, arrays as in any .npz, and files."""
+SUMMARY, REPORT, REPLAY = OUTPUTS = "summary.json", "report.html", "replay.json"
+"""Files beside the cells: scores, the page that shows them, and the run that it plays again."""
 DATE = (1980, 1, 1, 0, 0, 0)
 LONGEST_NAME, SHOWN = 100, 5
 DAMAGED = (
