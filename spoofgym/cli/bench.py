@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from typer import Argument, Option
 
 from . import options as opt
-from .app import print_json, print_lines
+from .app import print_json, print_lines, print_written
 from .options import SuiteOptions, with_options
 from .suites import (
     Reports,
@@ -155,9 +154,27 @@ def report(
     as_json: opt.Json = False,
 ) -> None:
     """Score the finished cells of a folder again, and write its report."""
+    from ..bench.experiments import Store
     from ..bench.experiments.campaign import CampaignResults
+    from ..bench.report.detector_page import build_scores_page
+    from ..bench.report.game_page import build_game_page
+    from ..bench.report.page import load_output, load_replay, write_page
 
-    _report(CampaignResults.load(folder), as_json, None)
+    store = Store(folder)
+    store.reopen()
+    kind = store.config["experiment"]
+    if kind == "campaign":
+        _report(CampaignResults.load(folder), as_json, None)
+        return
+    pages = {"game": build_game_page, "protect": build_scores_page, "audit": build_scores_page}
+    if kind not in pages:
+        raise ValueError(f"{folder} holds the experiment {kind!r}, which has no report")
+    scores = load_output(store)
+    written = write_page(store, pages[kind](store, scores, load_replay(store)))
+    if as_json:
+        print_json(scores)
+    else:
+        print_written(written)
 
 
 def _report(
@@ -179,4 +196,4 @@ def _report(
         print_json({**summary, "folder": str(results.path), "input": reports})
         return
     print_campaign(summary)
-    typer.echo(f"written: {', '.join(map(str, written))}")
+    print_written(written)

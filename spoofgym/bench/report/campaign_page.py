@@ -34,7 +34,17 @@ from .campaign import (
     known_spoofers,
     list_notes,
 )
-from .figures import SMALLEST_M, Dot, DotRow, Draw, Line, dots_height, draw_dots, draw_lines
+from .figures import (
+    LIMITS_M,
+    SMALLEST_M,
+    Dot,
+    DotRow,
+    Draw,
+    Line,
+    dots_height,
+    draw_dots,
+    draw_lines,
+)
 from .page import (
     Page,
     Picture,
@@ -47,8 +57,6 @@ from .page import (
 from .table import in_percent, interval, metres, percent
 
 FEW = 4  # curves that are drawn with their bands
-LIMITS_M = np.geomspace(1.0, 1000.0, 121)
-"""Alert limits of the curves of P(HMI)."""
 WORST = "worst attack, 50 %"
 AT_BUDGET = (
     "The amplitude is that at which exactly this share of the evaluation runs alarms. The "

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 INK = "#010203"
 """Colour of texts and axes: that of the page's text, light or dark."""
 PAGE_COLOURS = {INK: "currentColor", "#000000": "currentColor", GRID: "var(--grid)"}
-STYLE = {
+STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "spoofgym",
     "font.size": 9,
@@ -42,6 +42,8 @@ WIDTH_IN = 6.0
 MARKERS = "os^Dv*PX"
 DASHES = ("-", "--", "-.", ":")
 SMALLEST_M = 0.05  # displacements below it lie on the edge of the drawing
+LIMITS_M = np.geomspace(1.0, 1000.0, 121)
+"""Alert limits of the curves of P(HMI)."""
 Draw = Callable[["Axes"], None]
 
 
@@ -157,7 +159,7 @@ def _draw_dot(ax: Axes, row: float, dot: Dot, series: int) -> None:
         return
     value, low, high = (max(x, 1e-9) for x in (value, value if low is None else low, high or value))
     colour = _colour(series)
-    filled = {"mfc": colour if dot.fair else "none", "mec": colour}
+    filled: dict[str, Any] = {"mfc": colour if dot.fair else "none", "mec": colour}
     spread = [[max(value - low, 0.0)], [max(high - value, 0.0)]]
     look: dict[str, Any] = {"fmt": MARKERS[series % 8], "ms": 6, "capsize": 2, "color": colour}
     ax.errorbar(value, row, xerr=spread, zorder=3, **look, **filled)

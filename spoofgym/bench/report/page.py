@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -81,13 +82,14 @@ def render_page(page: Page) -> str:
     return render_template("report.html.j2", values)
 
 
-def write_page(store: Store, page: Page) -> list[Any]:
-    """Write a report and its scores into the folder of an experiment; returns the files."""
-    scores = json.dumps(page.scores, indent=1, allow_nan=False) + "\n"
-    return [
-        store.write(SUMMARY, scores.encode()),
-        store.write(REPORT, render_page(page).encode()),
-    ]
+def write_page(store: Store, page: Page) -> list[Path]:
+    """Write a report, and its scores if any, into the folder of an experiment; returns the
+    files."""
+    written = []
+    if page.scores is not None:
+        scores = json.dumps(page.scores, indent=1, allow_nan=False) + "\n"
+        written.append(store.write(SUMMARY, scores.encode()))
+    return [*written, store.write(REPORT, render_page(page).encode())]
 
 
 @cache
@@ -109,7 +111,12 @@ def list_settings(store: Store) -> list[tuple[str, Any]]:
 
 def load_replay(store: Store) -> dict[str, Any] | None:
     """Run that a folder has to show, if any."""
-    path = store.path / REPLAY
+    return load_output(store, REPLAY)
+
+
+def load_output(store: Store, name: str = SUMMARY) -> dict[str, Any] | None:
+    """What is written beside the cells, by default the scores; None where it is not there."""
+    path = store.path / name
     return json.loads(path.read_bytes()) if path.is_file() else None
 
 
