@@ -82,4 +82,4 @@ def test_shipped_spoofers_that_do_not_fit_are_named():
         "on the card, 50 here; trained in another world, add --set timeline="
     )
     assert note in result.output
-    assert note in Path("longer", "results.md").read_text()
+    assert note in Path("longer", "report.html").read_text()
