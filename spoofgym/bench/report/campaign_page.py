@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,6 @@ from .figures import (
     SMALLEST_M,
     Dot,
     DotRow,
-    Draw,
     Line,
     dots_height,
     draw_dots,
@@ -161,57 +161,48 @@ def list_pictures(
     for cell in sorted(cells, key=lambda each: each["stealthy_displacement_m"]["value"] or 0.0):
         strongest[cell["detector"]] = cell
     shown = [strongest[row["detector"]] for row in rows if row["detector"] in strongest]
+    few, onset = len(shown) <= FEW, "time since the onset [s]"
     dots = [_displacement_dots(row, cells) for row in rows]
+    courses = [_course(results, cell, few) for cell in shown]
+    curves = [x for row in rows if (x := _hazard(results, row, strongest, few)) is not None]
     missed = [_missed_dots(row, cells) for row in rows]
-    tail = f", {title}" if title else ""
+    survivals = [_survival(cell, few) for cell in shown if cell["survival"]]
     pictures = [
         Picture(
-            f"Undetected displacement{tail}",
+            "Undetected displacement",
             "Stealthy displacement of every attack (hollow: over budget), and what the worst one "
             "exceeds in 50 % of the runs. Grey: floor and zero-alarm bound, where known.",
             draw_dots(dots, "displacement [m]", limit_m=limit_m),
             dots_height(dots),
-        )
+        ),
+        Picture(
+            "Displacement against time",
+            "Median of the induced error under the strongest attack on each detector; X: half "
+            "of the runs have alarmed.",
+            draw_lines(courses, onset, "induced error [m]", log="y"),
+        ),
+        Picture(
+            "P(HMI) against alert limit",
+            "Share of the runs in which the worst attack at each alert limit exceeds it with "
+            "no alarm up to the time to alert after it.",
+            draw_lines(curves, "alert limit [m]", "P(HMI)", log="x", limit_m=limit_m),
+        ),
+        Picture(
+            "Missed within the time to alert",
+            "Of the runs whose error crosses the alert limit; no mark where none does.",
+            draw_dots(missed, f"missed [% of the runs beyond {limit_m:g} m]", log=False),
+            dots_height(missed),
+        ),
+        Picture(
+            "Still undetected",
+            "Kaplan-Meier estimate under the strongest attack on each detector.",
+            draw_lines(survivals, onset, "share undetected"),
+        ),
     ]
-    few = len(shown) <= FEW
-    lines = {
-        "time": [_course(results, cell, few) for cell in shown],
-        "limit": [x for row in rows if (x := _hazard(results, row, strongest, few)) is not None],
-        "survival": [_survival(cell, few) for cell in shown if cell["survival"]],
-    }
-    if shown:
-        pictures += [
-            _picture_lines(
-                f"Displacement against time{tail}",
-                "Median of the induced error under the strongest attack on each detector; X: half "
-                "of the runs have alarmed.",
-                lines["time"],
-                draw_lines(lines["time"], "time since the onset [s]", "induced error [m]", log="y"),
-            ),
-            _picture_lines(
-                f"P(HMI) against alert limit{tail}",
-                "Share of the runs in which the worst attack at each alert limit exceeds it with "
-                "no alarm up to the time to alert after it.",
-                lines["limit"],
-                draw_lines(lines["limit"], "alert limit [m]", "P(HMI)", log="x", limit_m=limit_m),
-            ),
-        ]
-    if any(dot.estimate["value"] is not None for row in missed for dot in row.dots):
-        text = f"missed [% of the runs beyond {limit_m:g} m]"
-        draw = draw_dots(missed, text, log=False)
-        caption = "Of the runs whose error crosses the alert limit; no mark where none does."
-        name = f"Missed within the time to alert{tail}"
-        pictures.append(Picture(name, caption, draw, dots_height(missed)))
-    if lines["survival"]:
-        draw = draw_lines(lines["survival"], "time since the onset [s]", "share undetected")
-        caption = "Kaplan-Meier estimate under the strongest attack on each detector."
-        name = f"Still undetected{tail}"
-        pictures.append(_picture_lines(name, caption, lines["survival"], draw))
-    return pictures
-
-
-def _picture_lines(title: str, caption: str, lines: Sequence[Line], draw: Draw) -> Picture:
-    return Picture(title, caption, draw, 3.4 + 0.17 * len(lines))
+    crossed = any(dot.estimate["value"] is not None for row in missed for dot in row.dots)
+    there = bool(cells), bool(courses), bool(curves), crossed, bool(survivals)
+    tail = f", {title}" if title else ""
+    return [x._replace(title=x.title + tail) for x in compress(pictures, there)]
 
 
 def _displacement_dots(row: Row, cells: Sequence[Row]) -> DotRow:

@@ -123,7 +123,6 @@ def list_pictures(
             "P(HMI) against alert limit",
             "The largest over all attacks of all families at each alert limit.",
             draw_lines(curves, "alert limit [m]", "P(HMI)", log="x", limit_m=limit_m),
-            3.4 + 0.17 * len(curves),
         ),
         Picture(
             "P(HMI) by family of attacks",
@@ -135,7 +134,7 @@ def list_pictures(
     if ages := [_ages(each) for each in records if "ages" in each]:
         title, caption = "Found at every age", "Test ramps found, by time from switch-on to onset."
         draw = draw_lines(ages, "time since switch-on [s]", "share found", log="x")
-        pictures.append(Picture(title, caption, draw, 3.4 + 0.17 * len(ages)))
+        pictures.append(Picture(title, caption, draw))
     return pictures
 
 

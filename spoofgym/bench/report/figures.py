@@ -38,7 +38,8 @@ STYLE: dict[Any, Any] = {
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor"), INK),
     **dict.fromkeys(("xtick.color", "ytick.color"), INK),
 }
-WIDTH_IN = 6.0
+WIDTH_IN, CURVES_IN, LEGEND_IN = 6.0, 3.4, 0.18
+"""Width of a drawing, height of one with curves, and of a row of its legend."""
 MARKERS = "os^Dv*PX"
 DASHES = ("-", "--", "-.", ":")
 SMALLEST_M = 0.05  # displacements below it lie on the edge of the drawing
@@ -88,7 +89,8 @@ def _drawing(draw: Draw, height_in: float) -> Iterator[Figure]:
         if labels:
             longest = max(map(len, labels))
             columns = 1 if longest > 45 else 2 if longest > 22 else 3
-            figure.legend(loc="outside lower left", ncols=min(columns, len(labels)))
+            figure.set_figheight(height_in + LEGEND_IN * -(-len(labels) // columns))
+            figure.legend(loc="outside lower left", ncols=columns)
         yield figure
 
 
@@ -115,7 +117,7 @@ def save_drawing(draw: Draw, height_in: float, path: Path) -> Path:
 
 
 def dots_height(rows: Sequence[DotRow]) -> float:
-    return 0.42 * len(rows) + 1.2
+    return 0.42 * len(rows) + 0.8
 
 
 def draw_dots(
@@ -141,11 +143,11 @@ def draw_dots(
         ax.set_ylim(len(rows) - 0.5, -0.65)
         if log:
             _scale_metres(ax, "x")
+            if limit_m is not None:
+                _draw_limit(ax, limit_m)
             ax.set_xlim(left=max(ax.get_xlim()[0], SMALLEST_M))
         else:
             ax.set_xlim(-2.0, 102.0)
-        if limit_m is not None:
-            _draw_limit(ax, limit_m)
         for k, name in enumerate(names):
             ax.plot([], [], MARKERS[k % 8], color=_colour(k), label=_plain(name))
         ax.set_xlabel(text)

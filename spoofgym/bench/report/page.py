@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...simulation.simulator import SkyData
 from ..experiments.store import REPLAY, REPORT, SUMMARY, Store
 from ..runs.episode import ATTACKED, TWIN, Episode
-from .figures import Draw, render_svg
+from .figures import CURVES_IN, Draw, render_svg
 from .table import TEMPLATES, Table, render_template
 
 MOST_BYTES = 1_900_000
@@ -34,7 +34,7 @@ class Picture(NamedTuple):
     title: str
     caption: str
     draw: Draw
-    height_in: float
+    height_in: float = CURVES_IN
 
 
 class Sheet(NamedTuple):
