@@ -162,19 +162,12 @@ def list_pictures(
         strongest[cell["detector"]] = cell
     shown = [strongest[row["detector"]] for row in rows if row["detector"] in strongest]
     few, onset = len(shown) <= FEW, "time since the onset [s]"
-    dots = [_displacement_dots(row, cells) for row in rows]
     courses = [_course(results, cell, few) for cell in shown]
     curves = [x for row in rows if (x := _hazard(results, row, strongest, few)) is not None]
     missed = [_missed_dots(row, cells) for row in rows]
     survivals = [_survival(cell, few) for cell in shown if cell["survival"]]
     pictures = [
-        Picture(
-            "Undetected displacement",
-            "Stealthy displacement of every attack (hollow: over budget), and what the worst one "
-            "exceeds in 50 % of the runs. Grey: floor and zero-alarm bound, where known.",
-            draw_dots(dots, "displacement [m]", limit_m=limit_m),
-            dots_height(dots),
-        ),
+        picture_displacements(summary, group),
         Picture(
             "Displacement against time",
             "Median of the induced error under the strongest attack on each detector; X: half "
@@ -203,6 +196,19 @@ def list_pictures(
     there = bool(cells), bool(courses), bool(curves), crossed, bool(survivals)
     tail = f", {title}" if title else ""
     return [x._replace(title=x.title + tail) for x in compress(pictures, there)]
+
+
+def picture_displacements(summary: Row, group: FalseAlarmGroup) -> Picture:
+    """How far every attack gets against the detectors at one rate of false alarms."""
+    cells = group.rows([cell for cell in summary["cells"] if cell["spoofer"] != "none"])
+    dots = [_displacement_dots(row, cells) for row in detector_rows(summary, group)]
+    return Picture(
+        "Undetected displacement",
+        "Stealthy displacement of every attack (hollow: over budget), and what the worst one "
+        "exceeds in 50 % of the runs. Grey: floor and zero-alarm bound, where known.",
+        draw_dots(dots, "displacement [m]", limit_m=summary["alert_limit_m"]),
+        dots_height(dots),
+    )
 
 
 def _displacement_dots(row: Row, cells: Sequence[Row]) -> DotRow:
