@@ -15,7 +15,7 @@ from ..runs.episode import play_episode
 from ..runs.players import PlayerSpec
 from ..runs.record import MEASURES, Aim
 from ..scores.campaign import CONTROLS, HALF, STEALTHY, extract_name, headline, score_hazard
-from ..scores.statistics import Estimate, exceedance
+from ..scores.statistics import exceedance
 from .campaign import (
     ATTACKS,
     CLEAN,
@@ -44,12 +44,13 @@ from .figures import (
     dots_height,
     draw_dots,
     draw_lines,
+    make_curve,
 )
 from .page import (
     Page,
     Picture,
     Sheet,
-    list_settings,
+    list_played_settings,
     load_replay,
     record_replay,
     store_replay,
@@ -71,9 +72,9 @@ def build_page(results: CampaignResults, summary: Row, replay: Row | None = None
     parts = list(zip(found, shown, strict=True))
     return Page(
         title=f"Campaign: {summary['scenario']}",
-        verdict=write_verdict(results.config, summary),
+        verdict=write_campaign_verdict(results.config, summary),
         missing=summary["missing"],
-        pictures=[x for part in parts for x in list_pictures(results, summary, *part)],
+        pictures=[x for part in parts for x in list_campaign_pictures(results, summary, *part)],
         sheets=[
             *(x for part in parts for x in list_sheets(summary, *part)),
             Sheet("Compared with the controls", COMPARISONS, summary["comparisons"], "", True),
@@ -81,12 +82,12 @@ def build_page(results: CampaignResults, summary: Row, replay: Row | None = None
         ],
         notes=[*results.config["notes"], *list_notes(summary)],
         replay=replay,
-        played=[("campaign", summary["campaign"]), *list_settings(results.store)],
+        played=[("campaign", summary["campaign"]), *list_played_settings(results.store)],
         scores=summary,
     )
 
 
-def write_verdict(config: Mapping[str, Any], summary: Row) -> list[str]:
+def write_campaign_verdict(config: Mapping[str, Any], summary: Row) -> list[str]:
     """What a campaign has found, in words."""
     lines = []
     for group in groups(summary):
@@ -151,7 +152,7 @@ def _describe_reach(summary: Row, row: Row) -> str:
     )
 
 
-def list_pictures(
+def list_campaign_pictures(
     results: CampaignResults, summary: Row, group: FalseAlarmGroup, title: str
 ) -> list[Picture]:
     """Drawings of the detectors at one rate of false alarms."""
@@ -256,19 +257,18 @@ def _hazard(
     """P(HMI) of the worst attack at every limit, or of the strongest one without a suite."""
     worst, cell = results.protection(row["detector"]), strongest.get(row["detector"])
     if worst is not None:
-        cell = {"detector": row["detector"], "spoofer": "worst attack"}
+        label = f"{row['detector']}: worst attack"
         curve = [score_hazard(worst, MEASURES[0], limit) for limit in LIMITS_M]
     elif cell is not None:
         record = results.runs(cell["detector"], cell["spoofer"])
         assert record is not None  # it has been scored
         moved = record.displacement_m[record.counts]
+        label = f"{row['detector']}: {cell['spoofer']}"
         curve = [each.as_json() for each in exceedance(moved, LIMITS_M)]
     else:
         return None
-    value, low, high = (
-        np.array([each[key] for each in curve], dtype=np.float64) for key in Estimate._fields
-    )
-    return _line(cell, LIMITS_M, value, (low, high), few)
+    grey = extract_name(row["detector"]) in CONTROLS
+    return make_curve(label, LIMITS_M, curve, few=few, grey=grey)
 
 
 def _survival(cell: Row, few: bool) -> Line:

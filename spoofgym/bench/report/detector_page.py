@@ -6,16 +6,23 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from ...tasks import DETECTOR_TASKS
 from ..experiments.store import Store
 from ..runs.record import MEASURES, Protection
 from ..scores.campaign import score_hazard
 from ..scores.detector import FamilyScore
-from .figures import LIMITS_M, Dot, DotRow, Line, dots_height, draw_dots, draw_lines
-from .page import Page, Picture, Sheet, list_settings
-from .table import Table, format_number, in_percent, interval, percent, yes_no
+from .figures import (
+    LIMITS_M,
+    Dot,
+    DotRow,
+    Line,
+    dots_height,
+    draw_dots,
+    draw_lines,
+    make_curve,
+)
+from .page import Page, Picture, Sheet, list_played_settings
+from .table import Table, interval, percent, yes_no
 from .tasks import DETECTOR_SCORES
 
 Row = dict[str, Any]
@@ -45,15 +52,15 @@ def build_scores_page(
     keys = [] if task is None or records else [each.key for each in task.families]
     return Page(
         title=f"{config['task']}: {', '.join(found)}",
-        verdict=[line for record in records for line in write_verdict(record)],
+        verdict=[line for record in records for line in write_score_verdict(record)],
         missing=[f"{each} / {key}" for each in found for key in keys if (each, key) not in played],
-        pictures=list_pictures(found, rows, records, limit_m),
+        pictures=list_score_pictures(found, rows, records, limit_m),
         sheets=[
             Sheet("Detectors", DETECTOR_SCORES, records),
             Sheet("Families of attacks", FAMILIES, rows),
         ],
         replay=replay,
-        played=list_settings(store),
+        played=list_played_settings(store),
         scores=scores,
     )
 
@@ -74,7 +81,7 @@ def load_families(store: Store) -> dict[str, list[FamilyScore]]:
     return scores
 
 
-def write_verdict(record: Row) -> list[str]:
+def write_score_verdict(record: Row) -> list[str]:
     """What is known of a detector, in words."""
     half, few = (interval(record["exceeded_m"][share]) for share in ("0.5", "0.05"))
     rate = interval(record["false_alarms_per_hour"])
@@ -90,7 +97,7 @@ def write_verdict(record: Row) -> list[str]:
     ]
 
 
-def list_pictures(
+def list_score_pictures(
     found: Mapping[str, Sequence[FamilyScore]],
     rows: Sequence[Row],
     records: Sequence[Row],
@@ -106,29 +113,19 @@ def list_pictures(
         DotRow(key, [Dot(x["detector"], x["exceeded_m"]["0.5"]) for x in own[key]], band)
         for key in keys
     ]
-    hazard = [
-        DotRow(key, [Dot(x["detector"], in_percent(x["p_hmi"])) for x in own[key]]) for key in keys
-    ]
     curves = [_hazard(detector, families) for detector, families in found.items()]
-    height = dots_height(moved)
     pictures = [
         Picture(
             "Displacement by family of attacks",
             "Undetected displacement that the worst attack of each family exceeds in 50 % of the "
             "runs. Grey: floor, where known.",
             draw_dots(moved, "displacement [m]", limit_m=limit_m),
-            height,
+            dots_height(moved),
         ),
         Picture(
             "P(HMI) against alert limit",
             "The largest over all attacks of all families at each alert limit.",
             draw_lines(curves, "alert limit [m]", "P(HMI)", log="x", limit_m=limit_m),
-        ),
-        Picture(
-            "P(HMI) by family of attacks",
-            f"At the alert limit of {format_number(limit_m)} m.",
-            draw_dots(hazard, "P(HMI) [%]", log=False),
-            height,
         ),
     ]
     if ages := [_ages(each) for each in records if "ages" in each]:
@@ -144,16 +141,9 @@ def _hazard(detector: str, families: Sequence[FamilyScore]) -> Line:
     for limit in LIMITS_M:
         each = [score_hazard(family.protection, MEASURES[0], limit) for family in families]
         worst.append(max(each, key=lambda row: -1.0 if row["value"] is None else row["value"]))
-    return _line(detector, LIMITS_M, worst)
+    return make_curve(detector, LIMITS_M, worst, few=True, grey=False)
 
 
 def _ages(record: Row) -> Line:
-    return _line(record["detector"], record["ages"]["age_s"], record["ages"]["found"])
-
-
-def _line(label: str, x: Any, estimates: Sequence[Row]) -> Line:
-    y, low, high = (
-        np.array([each[key] for each in estimates], dtype=np.float64)
-        for key in ("value", "low", "high")
-    )
-    return Line(label, x, y, (low, high))
+    ages = record["ages"]
+    return make_curve(record["detector"], ages["age_s"], ages["found"], few=True, grey=False)

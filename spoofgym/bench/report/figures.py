@@ -38,7 +38,7 @@ STYLE: dict[Any, Any] = {
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor"), INK),
     **dict.fromkeys(("xtick.color", "ytick.color"), INK),
 }
-WIDTH_IN, CURVES_IN, LEGEND_IN = 6.0, 3.4, 0.18
+WIDTH_IN, CURVES_IN, LEGEND_IN = 5.2, 3.2, 0.18
 """Width of a drawing, height of one with curves, and of a row of its legend."""
 MARKERS = "os^Dv*PX"
 DASHES = ("-", "--", "-.", ":")
@@ -75,6 +75,17 @@ class Line(NamedTuple):
     end: int | None = None
 
 
+def make_curve(
+    label: str, x: ArrayLike, estimates: Sequence[Mapping[str, Any]], *, few: bool, grey: bool
+) -> Line:
+    """Curve of estimates, with their intervals where there are `few` curves."""
+    y, low, high = (
+        np.array([each[key] for each in estimates], dtype=np.float64)
+        for key in ("value", "low", "high")
+    )
+    return Line(label, x, y, (low, high) if few else None, grey)
+
+
 @contextmanager
 def _drawing(draw: Draw, height_in: float) -> Iterator[Figure]:
     figure_type = figure_class()
@@ -88,7 +99,7 @@ def _drawing(draw: Draw, height_in: float) -> Iterator[Figure]:
         labels = ax.get_legend_handles_labels()[1]
         if labels:
             longest = max(map(len, labels))
-            columns = 1 if longest > 45 else 2 if longest > 22 else 3
+            columns = 1 if longest > 36 else 2 if longest > 17 else 3
             figure.set_figheight(height_in + LEGEND_IN * -(-len(labels) // columns))
             figure.legend(loc="outside lower left", ncols=columns)
         yield figure

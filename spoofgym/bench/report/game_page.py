@@ -10,8 +10,7 @@ from typing import Any
 from ...core.registry import format_label
 from ..experiments.store import Store
 from ..runs.record import RunRecord
-from .figures import Dot, DotRow, dots_height, draw_dots
-from .page import Page, Picture, Sheet, list_settings
+from .page import Page, Sheet, list_played_settings
 from .table import Table, format_number, interval, percent, share
 
 Row = dict[str, Any]
@@ -67,25 +66,13 @@ def build_game_page(store: Store, scores: Row | None = None, replay: Row | None 
     rows = [(*pair, record) for pair, record in found.items()]
     shared: dict[str, Any] = {
         "title": "Game of spoofers against detectors",
-        "played": list_settings(store),
+        "played": list_played_settings(store),
     }
     if scores is None:
-        missing = [" / ".join(pair) for pair in every if pair not in found]
+        missing = [" / ".join(pair) for pair in every if pair and pair not in found]
         why = "The game is not solved yet: the command that plays it goes on."
         return Page(**shared, verdict=[why], missing=missing, sheets=[Sheet("Pairs", PAIRS, rows)])
     table, mixes = tabulate_game(scores)
-    payoffs = [
-        DotRow(
-            detector["label"],
-            [
-                Dot(spoofer["label"], dict.fromkeys(("value", "low", "high"), 100.0 * values[k]))
-                for spoofer, values in zip(scores["spoofers"], scores["values"], strict=True)
-            ],
-        )
-        for k, detector in enumerate(scores["detectors"])
-    ]
-    caption = "Mean over the runs that count; the spoofer wants much, the detector little."
-    draw = draw_dots(payoffs, "payoff [%]", log=False)
     best = [
         f"Best {side}: "
         + ", ".join(
@@ -98,7 +85,6 @@ def build_game_page(store: Store, scores: Row | None = None, replay: Row | None 
     return Page(
         **shared,
         verdict=[f"Equilibrium: {describe_game(scores)}; in brackets 95 % intervals.", *best],
-        pictures=[Picture("Payoffs", caption, draw, dots_height(payoffs))],
         sheets=[Sheet("Payoffs and mixes", table, mixes), Sheet("Pairs", PAIRS, rows, "", True)],
         replay=replay,
         scores=scores,

@@ -103,7 +103,7 @@ def _format_value(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
-def list_settings(store: Store) -> list[tuple[str, Any]]:
+def list_played_settings(store: Store) -> list[tuple[str, Any]]:
     """What was run: versions and digest of the code, and all settings."""
     config = dict(store.config)
     return [("code", config["code"]), *config["config"].items()]
