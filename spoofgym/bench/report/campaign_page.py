@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import compress
 from typing import Any
 
@@ -36,7 +37,6 @@ from .campaign import (
     list_notes,
 )
 from .figures import (
-    LIMITS_M,
     SMALLEST_M,
     Dot,
     DotRow,
@@ -44,7 +44,7 @@ from .figures import (
     dots_height,
     draw_dots,
     draw_lines,
-    make_curve,
+    make_hazard_curve,
 )
 from .page import (
     Page,
@@ -255,20 +255,18 @@ def _hazard(
     results: CampaignResults, row: Row, strongest: Mapping[str, Row], few: bool
 ) -> Line | None:
     """P(HMI) of the worst attack at every limit, or of the strongest one without a suite."""
-    worst, cell = results.protection(row["detector"]), strongest.get(row["detector"])
-    if worst is not None:
-        label = f"{row['detector']}: worst attack"
-        curve = [score_hazard(worst, MEASURES[0], limit) for limit in LIMITS_M]
-    elif cell is not None:
-        record = results.runs(cell["detector"], cell["spoofer"])
-        assert record is not None  # it has been scored
-        moved = record.displacement_m[record.counts]
-        label = f"{row['detector']}: {cell['spoofer']}"
-        curve = [each.as_json() for each in exceedance(moved, LIMITS_M)]
-    else:
+    label, found = row["detector"], results.protection(row["detector"])
+    grey = extract_name(label) in CONTROLS
+    if found is not None:
+        worst = partial(score_hazard, found, MEASURES[0])
+        return make_hazard_curve(label, worst, few=few, grey=grey)
+    if label not in strongest:
         return None
-    grey = extract_name(row["detector"]) in CONTROLS
-    return make_curve(label, LIMITS_M, curve, few=few, grey=grey)
+    record = results.runs(label, strongest[label]["spoofer"])
+    assert record is not None  # it has been scored
+    moved = record.displacement_m[record.counts]
+    score = lambda limit: exceedance(moved, [limit])[0].as_json()  # noqa: E731
+    return make_hazard_curve(f"{label}: {record.spoofer}", score, few=few, grey=grey)
 
 
 def _survival(cell: Row, few: bool) -> Line:

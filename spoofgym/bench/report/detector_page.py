@@ -12,7 +12,6 @@ from ..runs.record import MEASURES, Protection
 from ..scores.campaign import score_hazard
 from ..scores.detector import FamilyScore
 from .figures import (
-    LIMITS_M,
     Dot,
     DotRow,
     Line,
@@ -20,6 +19,7 @@ from .figures import (
     draw_dots,
     draw_lines,
     make_curve,
+    make_hazard_curve,
 )
 from .page import Page, Picture, Sheet, list_played_settings
 from .table import Table, interval, percent, yes_no
@@ -137,13 +137,14 @@ def list_score_pictures(
 
 def _hazard(detector: str, families: Sequence[FamilyScore]) -> Line:
     """P(HMI) of the worst family at every limit, with its interval."""
-    worst = []
-    for limit in LIMITS_M:
-        each = [score_hazard(family.protection, MEASURES[0], limit) for family in families]
-        worst.append(max(each, key=lambda row: -1.0 if row["value"] is None else row["value"]))
-    return make_curve(detector, LIMITS_M, worst, few=True, grey=False)
+
+    def score(limit: float) -> Row:
+        found = [score_hazard(family.protection, MEASURES[0], limit) for family in families]
+        return max(found, key=lambda row: -1.0 if row["value"] is None else row["value"])
+
+    return make_hazard_curve(detector, score)
 
 
 def _ages(record: Row) -> Line:
     ages = record["ages"]
-    return make_curve(record["detector"], ages["age_s"], ages["found"], few=True, grey=False)
+    return make_curve(record["detector"], ages["age_s"], ages["found"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -43,7 +44,7 @@ WIDTH_IN, CURVES_IN, LEGEND_IN = 5.2, 3.2, 0.18
 MARKERS = "os^Dv*PX"
 DASHES = ("-", "--", "-.", ":")
 SMALLEST_M = 0.05  # displacements below it lie on the edge of the drawing
-LIMITS_M = np.geomspace(1.0, 1000.0, 121)
+LIMITS_M = np.geomspace(1.0, 20_000.0, 173)
 """Alert limits of the curves of P(HMI)."""
 Draw = Callable[["Axes"], None]
 
@@ -76,7 +77,12 @@ class Line(NamedTuple):
 
 
 def make_curve(
-    label: str, x: ArrayLike, estimates: Sequence[Mapping[str, Any]], *, few: bool, grey: bool
+    label: str,
+    x: ArrayLike,
+    estimates: Sequence[Mapping[str, Any]],
+    *,
+    few: bool = True,
+    grey: bool = False,
 ) -> Line:
     """Curve of estimates, with their intervals where there are `few` curves."""
     y, low, high = (
@@ -84,6 +90,18 @@ def make_curve(
         for key in ("value", "low", "high")
     )
     return Line(label, x, y, (low, high) if few else None, grey)
+
+
+def make_hazard_curve(
+    label: str, score: Callable[[float], Mapping[str, Any]], *, few: bool = True, grey: bool = False
+) -> Line:
+    """Curve of P(HMI), whose `score` has an estimate at any alert limit, up to where it is 0."""
+    found: list[Mapping[str, Any]] = []
+    for limit in LIMITS_M:
+        found.append(score(limit))
+        if not found[-1]["value"]:
+            break
+    return make_curve(label, LIMITS_M[: len(found)], found, few=few, grey=grey)
 
 
 @contextmanager
@@ -128,7 +146,7 @@ def save_drawing(draw: Draw, height_in: float, path: Path) -> Path:
 
 
 def dots_height(rows: Sequence[DotRow]) -> float:
-    return 0.42 * len(rows) + 0.8
+    return 0.42 * len(rows) + 0.9
 
 
 def draw_dots(
@@ -151,7 +169,7 @@ def draw_dots(
             place: dict[str, Any] = {"transform": ax.get_yaxis_transform(), "va": "center"}
             ax.text(0.005, k - 0.36, row.label, fontsize=8, parse_math=False, **place)
         ax.set_yticks([])
-        ax.set_ylim(len(rows) - 0.5, -0.65)
+        ax.set_ylim(len(rows) - 0.5, -0.95)
         if log:
             _scale_metres(ax, "x")
             if limit_m is not None:
@@ -184,7 +202,7 @@ def _colour(k: int) -> str:
 
 def _plain(label: str) -> str:
     """Label of a legend that is no formula, and is not left out, as one with a dash is."""
-    return re.sub("^_", " _", label.replace("$", r"\$"))
+    return re.sub("^_", " _", textwrap.fill(label, 60).replace("$", r"\$"))
 
 
 def _scale_metres(ax: Axes, name: str) -> None:
@@ -193,7 +211,8 @@ def _scale_metres(ax: Axes, name: str) -> None:
 
     getattr(ax, f"set_{name}scale")("log")
     axis = getattr(ax, f"{name}axis")
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 500.0 * low else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
@@ -211,8 +230,6 @@ def draw_lines(
     """Curves of several detectors; `log`: which axes, of ``xy``, have powers of ten."""
 
     def draw(ax: Axes) -> None:
-        for axis in log:
-            _scale_metres(ax, axis)
         count = 0
         for line in lines:
             look: dict[str, Any] = {"color": GREY, "ls": ":", "lw": 1.2}
@@ -220,6 +237,8 @@ def draw_lines(
                 dashes = DASHES[count // len(COLOURS) % len(DASHES)]
                 look, count = {"color": _colour(count), "ls": dashes, "lw": 1.6}, count + 1
             _draw_line(ax, line, look)
+        for axis in log:
+            _scale_metres(ax, axis)
         if limit_m is not None:
             _draw_limit(ax, limit_m)
         ax.set_xlabel(x)
