@@ -72,13 +72,13 @@ def test_list_names_all_there_is_and_marks_oracles(monkeypatch):
     assert "for positions" in table
 
 
-def test_bench_writes_table_picture_and_json():
+def test_bench_writes_report_replay_and_json():
     result = call("bench", *QUICK, "--out", "out", "--spoofer", "ramp:rate_mps=tuned")
     assert result.exit_code == 0, result.output
     assert "stealthy attacks" in result.output
-    for name in ("config.json", "results.md", "summary.json", "campaign.png"):
+    for name in ("config.json", "report.html", "summary.json", "replay.json"):
         assert Path("out", name).is_file()
-    assert "| stealthy displacement [m] |" in Path("out", "results.md").read_text()
+    assert "stealthy displacement [m]" in Path("out", "report.html").read_text()
     assert not list(Path("out").rglob("*.part"))
     # a ramp without settings is tuned: the same campaign
     summary = read("bench", *QUICK, "--out", "out", "--spoofer", "ramp", "--json")
@@ -88,9 +88,9 @@ def test_bench_writes_table_picture_and_json():
     assert summary["runs"] == 4
     written = json.loads(Path("out", "summary.json").read_text())
     assert written == {k: v for k, v in summary.items() if k not in {"folder", "input"}}
-    Path("out", "results.md").unlink()
+    Path("out", "report.html").unlink()
     assert read("report", "out", "--json")["cells"] == summary["cells"]
-    assert Path("out", "results.md").is_file()
+    assert Path("out", "report.html").is_file()
 
 
 def test_an_interrupted_bench_is_kept_and_goes_on_and_run_is_a_run_of_it(monkeypatch):
@@ -108,7 +108,7 @@ def test_an_interrupted_bench_is_kept_and_goes_on_and_run_is_a_run_of_it(monkeyp
     assert result.exit_code == 130
     said = "interrupted: 1 of 5 cells are finished in out; the same command goes on"
     assert said in result.stderr
-    assert not Path("out", "results.md").exists()
+    assert not Path("out", "report.html").exists()
     assert call(*line).exit_code == 0
     cell = CampaignResults.load("out").runs("ewma", "ramp(rate_mps=0.4)")
     assert cell is not None
@@ -198,6 +198,6 @@ def test_bench_on_a_real_flight(data_folder):
     line += ["--duration", "120", "--out", "out"]
     result = call(*line)
     assert result.exit_code == 0, result.output
-    for text in (" ".join(result.output.split()), Path("out", "results.md").read_text()):
+    for text in (" ".join(result.output.split()), Path("out", "report.html").read_text()):
         assert "the barometric altitude is taken as height above the ellipsoid" in text
     assert read(*line, "--json")["input"]["track"]["interpolated"] == 1210

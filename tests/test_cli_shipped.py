@@ -1,5 +1,6 @@
 """What is shipped, on the command line: lists, cards, and playing it."""
 
+import html
 from pathlib import Path
 
 import pytest
@@ -82,4 +83,4 @@ def test_shipped_spoofers_that_do_not_fit_are_named():
         "on the card, 50 here; trained in another world, add --set timeline="
     )
     assert note in result.output
-    assert note in Path("longer", "results.md").read_text()
+    assert note in html.unescape(Path("longer", "report.html").read_text())

@@ -154,7 +154,7 @@ def test_a_campaign_ends_at_any_moment_and_goes_on(moment, whole, tmp_path):
         time.sleep(rng.random() * running_s)
     process.send_signal(number)
     code, said = code_of(process, IN_TIME_S)
-    assert code == 128 + number or (code == 0 and (out / "campaign.png").exists()), said
+    assert code == 128 + number or (code == 0 and (out / "report.html").exists()), said
     assert cells_of(out).items() <= expected.items()
     again = CliRunner().invoke(app, [*BENCH, "--out", str(out)])
     assert again.exit_code == 0, again.output

@@ -1,8 +1,8 @@
 """Make the README's table from the stored full run, and keep what `make bench` plays of it.
 
 make bench
-python -m tools.readme_bench results     # keeps its rows in docs/bench.json, and its picture
-python -m tools.readme_bench             # the README's table again from docs/headlines.json
+python -m tools.readme_bench results     # keeps its rows in docs/bench.json
+python -m tools.readme_bench             # the README's table and picture from docs/headlines.json
 
 A test holds the rows that `make bench` plays against those of the full run, by interval.
 """
@@ -12,14 +12,15 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import shutil
 import sys
 from pathlib import Path
 from typing import Any
 
 from agents.folder import write_json
-from spoofgym.bench.experiments.campaign import PICTURE, CampaignResults, summarize
-from spoofgym.bench.report.campaign import bound_text
+from spoofgym.bench.experiments.campaign import CampaignResults, summarize
+from spoofgym.bench.report.campaign import bound_text, groups
+from spoofgym.bench.report.campaign_page import picture_displacements
+from spoofgym.bench.report.figures import save_drawing
 from spoofgym.bench.report.table import Table, format_number, metres
 from spoofgym.bench.scores.campaign import HALF, STEALTHY, headline
 from tools.headlines import DATA_FILE as FULL
@@ -107,9 +108,11 @@ def main(arguments: list[str]) -> None:
         summary = summarize(CampaignResults.load(given))
         kept = {"campaign": summary["campaign"], "rows": shared_rows(summary)}
         write_json(SHARED, kept)
-        shutil.copyfile(given / PICTURE, DRAWN)
     world = json.loads(FULL.read_text())["worlds"][WORLD]
-    picture = "\n![The campaign](docs/campaign.png)\n"
+    (group,) = groups(world)
+    dots = picture_displacements(world, group)
+    save_drawing(dots.draw, dots.height_in, DRAWN)
+    picture = "\n![How far every attack gets](docs/campaign.png)\n"
     put_between(README, START, END, shown(world) + picture)
 
 

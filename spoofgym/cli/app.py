@@ -9,8 +9,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import Annotated, Any, NoReturn, ParamSpec, TypeVar
 
 import typer
@@ -130,6 +131,12 @@ def print_lines(lines: Iterable[str]) -> None:
     """Print some lines, or nothing."""
     for line in lines:
         typer.echo(line)
+
+
+def print_written(files: Sequence[Path]) -> None:
+    """Say which files were written, if any."""
+    if files:
+        typer.echo(f"written: {', '.join(map(str, files))}")
 
 
 def progress(total: float) -> AbstractContextManager[ProgressCallback]:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from typer import Argument, Option
 
 from . import options as opt
-from .app import print_json, print_lines
+from .app import print_json, print_lines, print_written
 from .options import SuiteOptions, with_options
 from .suites import (
     Reports,
@@ -24,6 +22,7 @@ from .suites import (
 
 if TYPE_CHECKING:
     from ..bench.experiments.campaign import CampaignResults
+    from ..bench.experiments.suite import Suite
 
 
 @with_options
@@ -147,39 +146,54 @@ def bench(
         print_lines((*(() if task else suite.notes), *suite.captions, *suite.left_out))
     handed: dict[str, Any] = {"jobs": at_once, "backend": backend, "shard": shard}
     results = opt.finish_experiment(campaign, out, threads=threads, overwrite=overwrite, **handed)
-    _report(campaign.results(results), as_json, reports)
+    _report(campaign.results(results), as_json, reports, suite)
 
 
 def report(
     folder: Annotated[Path, Argument(help="Folder of the results.")] = Path("results"),
     as_json: opt.Json = False,
 ) -> None:
-    """Score the finished cells of a folder again, with table and picture."""
+    """Score the finished cells of a folder again, and write its report."""
+    from ..bench.experiments import Store
     from ..bench.experiments.campaign import CampaignResults
+    from ..bench.report.detector_page import build_scores_page
+    from ..bench.report.game_page import build_game_page
+    from ..bench.report.page import load_output, load_replay, write_page
 
-    _report(CampaignResults.load(folder), as_json, None)
+    store = Store(folder)
+    store.reopen()
+    kind = store.config["experiment"]
+    if kind == "campaign":
+        _report(CampaignResults.load(folder), as_json, None)
+        return
+    pages = {"game": build_game_page, "protect": build_scores_page, "audit": build_scores_page}
+    if kind not in pages:
+        raise ValueError(f"{folder} holds the experiment {kind!r}, which has no report")
+    scores = load_output(store)
+    written = write_page(store, pages[kind](store, scores, load_replay(store)))
+    if as_json:
+        print_json(scores)
+    else:
+        print_written(written)
 
 
-def _report(results: CampaignResults, as_json: bool, reports: Reports) -> None:
-    """Write table, scores and picture, and print the tables."""
-    from ..bench.experiments.campaign import SUMMARY, TABLE, summarize
-    from ..bench.report.campaign import markdown, print_campaign
-    from ..bench.report.figures import draw_campaign
+def _report(
+    results: CampaignResults, as_json: bool, reports: Reports, suite: Suite | None = None
+) -> None:
+    """Write scores and page, and print the tables. `suite`: plays the worst run again."""
+    from ..bench.experiments.campaign import summarize
+    from ..bench.report.campaign import print_campaign
+    from ..bench.report.campaign_page import build_page, replay_worst
+    from ..bench.report.page import load_replay, write_page
 
-    summary, store = summarize(results), results.store
+    summary = summarize(results)
     if not summary["cells"]:
         raise ValueError(f"{results.path} holds no finished cell yet")
-    text = markdown(results, summary)
-    written = [
-        store.write(SUMMARY, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode()),
-        store.write(TABLE, text.encode()),
-    ]
-    try:
-        written.append(draw_campaign(results, summary))
-    except ImportError as error:
-        typer.echo(f"no picture: {error}", err=True)
+    if suite is not None:
+        replay_worst(suite, results, summary)
+    written = write_page(results.store, build_page(results, summary, load_replay(results.store)))
     if as_json:
         print_json({**summary, "folder": str(results.path), "input": reports})
         return
     print_campaign(summary)
-    typer.echo(f"written: {', '.join(map(str, written))}")
+    print_written(written)

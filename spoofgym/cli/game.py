@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Option
 
 from . import options as opt
-from .app import print_json
+from .app import print_json, print_written
 
 
 def game(
@@ -42,7 +42,8 @@ def game(
 ) -> None:
     """Solve the game of spoofers against detectors: payoffs on paired runs, mixes of both sides."""
     from ..bench.experiments.game import Game
-    from ..bench.report.results import print_game
+    from ..bench.report.game_page import build_game_page, print_game
+    from ..bench.report.page import write_page
 
     pairs = Game(task, payoff=payoff, limit_m=limit_m, runs=runs, entropy=seed).pairs(
         opt.parse_specs(spoofer), opt.parse_specs(detector), oracles=oracles
@@ -50,7 +51,12 @@ def game(
     results = opt.finish_experiment(
         pairs, out, jobs=jobs, backend=backend, shard=shard, threads=threads
     )
+    found = pairs.report(results)
+    written = (
+        [] if out is None else write_page(results.store, build_game_page(results.store, found))
+    )
     if as_json:
-        print_json(pairs.report(results))
+        print_json(found)
         return
-    print_game(task, pairs.matrix(results), payoff, runs)
+    print_game(task, found)
+    print_written(written)

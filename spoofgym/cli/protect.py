@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Option
 
 from . import options as opt
-from .app import print_json, progress
+from .app import print_json, print_written, progress
 
 
 def protect(
@@ -39,6 +39,8 @@ def protect(
     """Score detectors by the worst family of attacks of a task, most of which none has met."""
     from ..bench.experiments.calibration import calibrate_players
     from ..bench.experiments.protect import DetectorEvaluator, specify_detectors
+    from ..bench.report.detector_page import build_scores_page
+    from ..bench.report.page import write_page
     from ..bench.report.tasks import print_scores
 
     specs = opt.parse_specs(detector)
@@ -51,8 +53,10 @@ def protect(
     results = opt.finish_experiment(
         found, where, jobs=jobs, backend=backend, shard=shard, threads=threads
     )
-    rows = found.report(results)["detectors"]
+    report = found.report(results)
+    written = write_page(results.store, build_scores_page(results.store, report))
     if as_json:
-        print_json(rows)
+        print_json(report["detectors"])
     else:
-        print_scores(rows)
+        print_scores(report["detectors"])
+        print_written(written)

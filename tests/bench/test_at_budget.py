@@ -8,7 +8,8 @@ from scipy import special
 
 from spoofgym.bench.experiments.campaign import run_campaign, summarize
 from spoofgym.bench.experiments.evaluate import Evaluator
-from spoofgym.bench.report.campaign import markdown
+from spoofgym.bench.report.campaign_page import build_page
+from spoofgym.bench.report.page import render_page
 from spoofgym.bench.runs.panel import Panel
 from spoofgym.bench.runs.players import specify_detector, specify_spoofer
 from spoofgym.bench.runs.record import undetected_displacement
@@ -301,13 +302,12 @@ def test_a_campaign_shows_its_scores_at_the_budget(tmp_path):
     (cell,) = (each for each in summary["cells"] if each["spoofer"] == "ramp(tuned)")
     assert cell["stealthy_displacement_m"] == cell["at_budget"][MOVED]
     assert cell["within_budget"]
-    text = markdown(results, summary)
-    assert "### At exactly 45 % alarms" in text
-    assert "met exactly on the" in text
+    text = render_page(build_page(results, summary))
+    assert "<h2>At exactly 45 % alarms</h2>" in text
     assert sum("at_budget" in each for each in summary["cells"]) == 2
     strongest = summary["detectors"][0]["strongest_at_budget_m"]
     assert strongest["low"] <= strongest["value"] <= strongest["high"]
-    assert "| the strongest of these |" in text
+    assert "<td>the strongest of these</td>" in text
 
 
 def test_the_best_curve_of_a_search_is_scored_where_it_was_not_chosen(monkeypatch):

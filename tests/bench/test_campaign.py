@@ -15,9 +15,9 @@ from spoofgym.bench.report.campaign import (
     groups,
     integrity_rows,
     list_uncovered,
-    markdown,
 )
-from spoofgym.bench.report.figures import draw_campaign
+from spoofgym.bench.report.campaign_page import build_page
+from spoofgym.bench.report.page import render_page
 from spoofgym.bench.runs.panel import Panel
 from spoofgym.bench.runs.record import STANFORD, record_runs
 from spoofgym.bench.scores.campaign import score_detector
@@ -85,8 +85,7 @@ def test_what_is_no_folder_or_cell_of_this_campaign_is_refused(finished, tmp_pat
     mine.unlink()
     summary = summarize(folder)
     assert summary["missing"] == ["ewma / step"]
-    assert "**Not finished**: ewma / step." in markdown(folder, summary)
-    assert draw_campaign(folder, summary).stat().st_size > 10_000
+    assert "<b>Not finished</b>: ewma / step." in render_page(build_page(folder, summary))
     with pytest.raises(ValueError, match=r"holds other results \(config.runs: 5, not 4\)"):
         campaign(tmp_path / "one", small_suite(runs=4))
 
@@ -131,15 +130,14 @@ def test_scores_follow_from_the_records_and_the_report_tells_what_came_out(finis
     assert row["false_alarm_per_run"]["value"] == clean.alarmed.mean()
     epochs = clean.records["alarm_epochs"].mean() / clean.window
     assert row["false_alarm_per_epoch"]["value"] == pytest.approx(epochs)
-    text = markdown(finished, summary)
+    text = render_page(build_page(finished, summary))
     for part in (
-        "# Campaign: zhong2025",
-        "| ewma | ramp(tuned) | ewma | rate_mps=",
-        "5 evaluation runs, the same for all cells (entropy 0)",
-        "knowledge of the spoofers at run time: blind",
-        "## Detectors with nominal thresholds, whose rates of false alarms differ",
-        "Budget: P(alarm | silent twin) at most 45 %, by its upper 95 % limit on the 6 of 6",
-        "(chosen)",
+        "<h1>Campaign: zhong2025</h1>",
+        "<td>ewma</td><td>ramp(tuned)</td><td>ewma</td><td>rate_mps=",
+        "5 runs each",
+        "<td>ramp(tuned)</td><td>blind</td>",
+        "<h2>Detectors with nominal thresholds, whose rates of false alarms differ</h2>",
+        "<dt>entropy</dt><dd>0</dd>",
     ):
         assert part in text
     assert "nan" not in text

@@ -10,6 +10,8 @@ import pytest
 from spoofgym.bench import run_campaign, summarize
 from spoofgym.bench.experiments.calibration import calibrate_players
 from spoofgym.bench.report import campaign as report
+from spoofgym.bench.report.campaign_page import build_page
+from spoofgym.bench.report.page import render_page
 from spoofgym.bench.runs.record import MEASURES
 from spoofgym.bench.scores.campaign import compare_controls, compute_times, headline
 from spoofgym.bench.search.amplitude import Tuning
@@ -129,9 +131,9 @@ def test_every_table_has_one_rate_and_marks_who_is_no_better_or_alarms_before_th
     )
     assert len(names) == 8
     assert marked == [f"{name} (oracle)" for name in names]
-    text = report.markdown(folder, summary)
-    assert "## Detectors at 20 false alarms an hour" in text
-    assert "the suite spoofgym-scripted 2" in text
+    text = render_page(build_page(folder, summary))
+    assert "<h2>Detectors at 20 false alarms an hour</h2>" in text
+    assert "spoofgym-scripted" in text
     assert f"{LOTTERY} less never" in text
     assert "nan" not in text
     rates = {"a": "0.2", "b": "0.002", "never": "any", "c": "nominal"}

@@ -3,7 +3,7 @@
 import pytest
 from jinja2 import UndefinedError
 
-from spoofgym.bench.report.table import Table, metres, percent, render_block, share
+from spoofgym.bench.report.table import Table, metres, percent, render_template, share
 
 TABLE = Table(
     ("detector", "name"),
@@ -41,4 +41,4 @@ def test_a_column_takes_a_key_or_a_function_and_a_form(capsys):
     assert percent({"value": None, "low": None, "high": None}) == "-"
     assert [metres(x) for x in (None, "unbounded", 12.34)] == ["-", "unbounded", "12.3"]
     with pytest.raises(UndefinedError):  # what a template lacks
-        render_block("campaign.md.j2", "floor", {"summary": {}})
+        render_template("floor.txt.j2", {"summary": {}})

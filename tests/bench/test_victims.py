@@ -8,7 +8,9 @@ import pytest
 
 from spoofgym.bench import Suite, Tuning, run_campaign, summarize
 from spoofgym.bench.experiments.campaign import describe_knowledge
-from spoofgym.bench.report.campaign import list_limit_notes, markdown
+from spoofgym.bench.report.campaign import list_limit_notes
+from spoofgym.bench.report.campaign_page import build_page
+from spoofgym.bench.report.page import render_page
 from spoofgym.bench.runs.episode import TWIN, play_episode
 from spoofgym.bench.runs.play import WarmStart, induced_error, make_bound_spoofer, play
 from spoofgym.bench.runs.record import compute_displacement
@@ -57,13 +59,13 @@ def test_a_campaign_is_scored_tabled_and_drawn(env, tmp_path):
         assert not none.any()
         assert (step >= 0.0).all()
         assert ramp.mean() > 0.0
-    text = markdown(folder, summary)
-    assert f"- Environment: {env}, " in text
+    text = render_page(build_page(folder, summary))
+    assert f"<dt>env</dt><dd>{env}</dd>" in text
     assert "nan" not in text
     # and without limits it says why
     (notes,) = list_limit_notes(summary)
     assert notes.startswith("Floor: none, since no limit is known for ")
-    assert f"- No zero-alarm bound of {', '.join(judges)}: no limit is known" in text
+    assert f"No zero-alarm bound of {', '.join(judges)}: no limit is known" in text
     for row in summary["detectors"]:
         assert row["bracket"]["floor_m"] == {STEALTHY: None, HALF: None}
         assert "no limit is known for" in row["bracket"]["zero_alarm"]["why"]

@@ -81,7 +81,7 @@ def test_detector_campaign_extras_and_times_are_those_that_it_names(saved, full)
 
 
 def test_the_table_is_that_of_the_full_run(full):
-    picture = "\n![The campaign](docs/campaign.png)\n"
+    picture = "\n![How far every attack gets](docs/campaign.png)\n"
     assert part_between(README, START, END) == f"\n{shown(full)}{picture}"
     assert full["campaign"] in README
     names = [label(row["detector"]) for row in full["detectors"]]

@@ -41,11 +41,9 @@ from ..search.attack_suite import (
 )
 from ..search.open_loop import Optima, fit
 from .runner import Context, Experiment, run_experiment
-from .store import Cell, Reader, Result, Store
+from .store import OUTPUTS, Cell, Reader, Result, Store
 from .suite import Suite
 
-TABLE, SUMMARY, PICTURE = OUTPUTS = "results.md", "summary.json", "campaign.png"
-"""Files beside the cells of a campaign."""
 FLOOR, SEARCH, RUNS, PROTECTION, BOUND = "floor", "search", "runs", "protection", "bound"
 """Kinds of cells: of the world, of a detector and a spoofer, of a detector."""
 ATTACK_SUITE = "attack suite"

@@ -29,6 +29,8 @@ FORMAT = 1
 CONFIG, CELLS = "config.json", "cells"
 HEAD, RECORD, ARRAY, FILES = "head.json", "record.json", ".npy", "files/"
 """Members of a cell's file: what it is of, what is no array, arrays as in any .npz, and files."""
+SUMMARY, REPORT, REPLAY = OUTPUTS = "summary.json", "report.html", "replay.json"
+"""Files beside the cells: scores, the page that shows them, and the run that it plays again."""
 DATE = (1980, 1, 1, 0, 0, 0)
 LONGEST_NAME, SHOWN = 100, 5
 DAMAGED = (
@@ -107,8 +109,9 @@ class Store:
             self._check_config(mine)
         self._config = mine
 
-    def reopen(self, experiment: str) -> dict[str, Any]:
-        """Read what is there, whatever code has made it; returns the config of the experiment."""
+    def reopen(self, experiment: str | None = None) -> dict[str, Any]:
+        """Read what is there, whatever code has made it; returns the config of the experiment, by
+        default of any."""
         if not (self.path / CONFIG).is_file():
             raise ValueError(f"{self.path} holds no results: there is no {CONFIG}")
         self._config = self._read_config(experiment)
@@ -182,6 +185,19 @@ class Store:
     def get(self, cell: Cell) -> Result | None:
         """Result of a cell; None where it is not finished."""
         return self._read(cell, whole=True)
+
+    def read_all(self) -> Iterator[tuple[Cell, Result]]:
+        """Finished cells, whatever names them."""
+        for path in sorted((self.path / CELLS).glob("*.npz")):
+            try:
+                with zipfile.ZipFile(path) as file:
+                    head = json.loads(file.read(HEAD))
+                cell = Cell(head["key"], head["identity"])
+            except DAMAGED as error:
+                raise ValueError(f"{path} is damaged ({error}); delete it and run again") from error
+            found = self.get(cell)
+            if found is not None:
+                yield cell, found
 
     def _read(self, cell: Cell, *, whole: bool) -> Result | None:
         path = self.build_path(cell.key)

@@ -1,4 +1,4 @@
-"""Tables and report of a campaign.
+"""Tables of a campaign.
 
 A table never compares detectors at different rates of false alarms: there is one for each rate, and
 what is played with nominal thresholds comes by name, without a comparison.
@@ -13,11 +13,17 @@ from typing import Any, NamedTuple
 
 from ...detectors.calibrated import NOISY_WARMUP
 from ...spoofers.base import sees_statistics
-from ..experiments.campaign import CampaignResults
 from ..runs.record import MEASURES, STANFORD
-from ..scores.campaign import ANY_RATE, CONTROLS, HALF, NOMINAL, STEALTHY, extract_name, headline
+from ..scores.campaign import (
+    ANY_RATE,
+    CONTROLS,
+    HALF,
+    NOMINAL,
+    STEALTHY,
+    extract_name,
+    headline,
+)
 from ..scores.statistics import Estimate
-from ..search.attack_suite import FAMILIES as FAMILIES
 from ..search.attack_suite import ORACLES
 from .table import (
     Table,
@@ -25,7 +31,6 @@ from .table import (
     interval,
     metres,
     percent,
-    render_block,
     render_template,
     share,
     yes_no,
@@ -375,7 +380,7 @@ def tuning_table(search: Row) -> Table:
 
 def list_limit_notes(summary: Row) -> list[str]:
     """What the floors are, and under which assumptions they hold; or why they are absent."""
-    lines = render_block("campaign.md.j2", "floor", {"summary": summary})
+    lines = render_template("floor.txt.j2", {"summary": summary}).splitlines()
     return [line.removeprefix("- ") for line in lines]
 
 
@@ -403,23 +408,25 @@ def group_optima(summary: Row) -> dict[str, list[str]]:
     return labels
 
 
-def markdown(results: CampaignResults, summary: Row) -> str:
-    """Report of a campaign; its template names the tables and texts of this module."""
-    own = {"config": results.config, "code": results.store.config["code"], "summary": summary}
-    return render_template("campaign.md.j2", globals() | own)
+def list_notes(summary: Row) -> list[str]:
+    """Which limits there are, and how they were found, or why there are none."""
+    return [
+        *list_limit_notes(summary),
+        *(f"No zero-alarm bound of {line}" for line in bound_notes(summary)),
+        *(f"No protection level of {line}" for line in list_uncovered(summary)),
+        *(
+            f"Optimized open-loop attack by {by}: {', '.join(names)}"
+            for by, names in group_optima(summary).items()
+        ),
+    ]
 
 
 def print_campaign(summary: Row) -> None:
-    notes = [
-        *list_limit_notes(summary),
-        *(f"No zero-alarm bound of {x}." for x in bound_notes(summary)),
-        *(f"No protection level of {x}." for x in list_uncovered(summary)),
-    ]
     for k, group in enumerate(groups(summary)):
         name = f"{summary['scenario']}, {group.title}"
         DETECTORS.print(f"{name}: detectors", detector_rows(summary, group))
         if k == 0:
-            print(*notes, "", sep="\n")
+            print(*list_notes(summary), "", sep="\n")
         if rows := attack_rows(summary, group):
             ATTACKS.print(f"{name}: stealthy attacks", rows, names=2)
         if rows := exact_rows(summary, group):

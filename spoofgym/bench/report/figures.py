@@ -1,301 +1,261 @@
-"""Campaign figure, animation."""
+"""Drawings of a report as inline SVG, animation."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
-from operator import itemgetter
+import io
+import re
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ...core.plots import COLOURS, GREY, figure_class, save_figure, style
+from ...core.plots import COLOURS, GREY, GRID, figure_class, save_figure, style
 from ...core.registry import whole_number
 from ...envs.core import SpoofCore
 from ...envs.rendering import CoreRecorder, Screen
 from ...envs.spoofer_binding import make_command_map
 from ...spoofers import make_spoofer
-from ..experiments.campaign import PICTURE, CampaignResults
 from ..experiments.suite import Suite
 from ..runs.play import SpooferController
 from ..runs.players import PlayerSpec
-from ..runs.record import RunRecord
-from ..scores.campaign import STEALTHY
-from .table import format_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.lines import Line2D
+    from matplotlib.figure import Figure
 
-MARKERS = {
-    **dict.fromkeys(("none", "step", "accelerating-ramp", "ramp"), ("o", "-")),
-    "profile": ("s", "-."),
+INK = "#010203"
+"""Colour of texts and axes: that of the page's text, light or dark."""
+PAGE_COLOURS = {INK: "currentColor", "#000000": "currentColor", GRID: "var(--grid)"}
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "spoofgym",
+    "font.size": 9,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor"), INK),
+    **dict.fromkeys(("xtick.color", "ytick.color"), INK),
 }
-"""Marker and dashes of spoofers by name; those of all others are a star and dashes."""
-SMALLEST_M = 0.05  # displacements below it lie on the edge of the picture
+WIDTH_IN, CURVES_IN, LEGEND_IN = 5.2, 3.2, 0.18
+"""Width of a drawing, height of one with curves, and of a row of its legend."""
+MARKERS = "os^Dv*PX"
+DASHES = ("-", "--", "-.", ":")
+SMALLEST_M = 0.05  # displacements below it lie on the edge of the drawing
+LIMITS_M = np.geomspace(1.0, 20_000.0, 173)
+"""Alert limits of the curves of P(HMI)."""
+Draw = Callable[["Axes"], None]
 
 
-class Look(NamedTuple):
-    """How one spoofer is drawn: what it is by marker and dashes, which one by colour. `width`: of
-    lines; thinner for later ones, so that earlier ones show beneath them."""
+class Dot(NamedTuple):
+    """A score with its interval (``value``, ``low``, ``high``); hollow where it is not `fair`."""
 
-    colour: str
-    marker: str
-    dashes: str
-    width: float
+    series: str
+    estimate: Mapping[str, Any]
+    fair: bool = True
 
 
-def looks(spoofers: list[dict[str, Any]]) -> dict[str, Look]:
-    """How the spoofers of a campaign are drawn."""
-    played = [entry for entry in spoofers if entry["label"] != "none"]
-    return {
-        entry["label"]: Look(
-            COLOURS[i % len(COLOURS)],
-            *MARKERS.get(entry["spec"]["name"], ("*", "--")),
-            max(3.2 - 0.7 * i, 1.5),
-        )
-        for i, entry in enumerate(played)
-    }
+class DotRow(NamedTuple):
+    """Scores of one thing, and the band that its limits leave, None where one is unknown."""
+
+    label: str
+    dots: Sequence[Dot]
+    band: tuple[float | None, float | None] = (None, None)
 
 
-def _log_metres(ax: Axes) -> None:
-    """Vertical axis of displacements, by powers of ten in plain numbers."""
-    from matplotlib.ticker import FuncFormatter, NullFormatter
+class Line(NamedTuple):
+    """A curve, with its band; `grey`: of a control; `end`: index from which it is dotted."""
 
-    ax.set_yscale("log")
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.yaxis.set_minor_formatter(NullFormatter())
-
-
-def _note(ax: Axes, text: str, xy: tuple[float, float], apart: tuple[int, int], **how: Any) -> None:
-    """Write a small text at a point, by default at a place of the data and a height of the axes."""
-    own: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "color": GREY, **how}
-    ax.annotate(text, xy, xytext=apart, textcoords="offset points", fontsize=8, **own)
+    label: str
+    x: ArrayLike
+    y: ArrayLike
+    band: tuple[ArrayLike, ArrayLike] | None = None
+    grey: bool = False
+    end: int | None = None
 
 
-def draw_means(
-    ax: Axes, scores: dict[str, dict[str, Any]], look: dict[str, Look], bracket: dict[str, Any]
-) -> None:
-    """Mean displacement of every spoofer, below each other on one linear scale; the bracket."""
-    style(ax)
-    names = list(look)
-    for row, name in enumerate(names):
-        if name not in scores or scores[name]["stealthy_displacement_m"]["value"] is None:
-            continue
-        mean = scores[name]["stealthy_displacement_m"]
-        x, spread = _errors(mean)
-        ax.errorbar(x, row, xerr=spread, capsize=2, **_point(look[name], scores[name]))
-        place = (mean["high"], row)
-        _note(ax, format_number(x), place, (5, 0), xycoords="data", va="center", color="black")
-    ax.set_yticks(range(len(names)), names)
-    ax.set_ylim(len(names) - 0.4, -0.6)
-    highs = (score["stealthy_displacement_m"]["high"] for score in scores.values())
-    top = max((high for high in highs if high is not None), default=0)
-    _draw_bounds(ax, bracket, 1.18 * max(top, SMALLEST_M))
-    ax.set_xlabel("stealthy displacement [m] (hollow: over budget)")
+def make_curve(
+    label: str,
+    x: ArrayLike,
+    estimates: Sequence[Mapping[str, Any]],
+    *,
+    few: bool = True,
+    grey: bool = False,
+) -> Line:
+    """Curve of estimates, with their intervals where there are `few` curves."""
+    y, low, high = (
+        np.array([each[key] for each in estimates], dtype=np.float64)
+        for key in ("value", "low", "high")
+    )
+    return Line(label, x, y, (low, high) if few else None, grey)
 
 
-def _draw_bounds(ax: Axes, bracket: dict[str, Any], end: float) -> None:
-    """Floor and zero-alarm bound as lines, within twice the axis `end` of what was achieved."""
-    floor, bound = bracket["floor_m"][STEALTHY], bracket["zero_alarm"]["value"]
-    found = {"floor": floor, "zero-alarm bound": bound}
-    numbers = {name: x for name, x in found.items() if isinstance(x, float | int)}
-    shown = {name: x for name, x in numbers.items() if x <= 2.0 * end}
-    end = max([end, *(1.1 * x for x in shown.values())])
-    ax.set_xlim(0.0, end)
-    for name, x in shown.items():
-        ax.axvline(x, color=GREY, lw=1.6, ls="--" if name == "floor" else "-", zorder=1)
-    signs = {"floor": "- -", "zero-alarm bound": "\u2014"}
-    texts = [
-        f"{signs[name]} {name} {format_number(x)} m" + ("" if name in shown else ", farther right")
-        for name, x in numbers.items()
-    ]
-    if texts:
-        _note(ax, "   ".join(texts), (0.0, 1.0), (0, 3), xycoords="axes fraction")
+def make_hazard_curve(
+    label: str, score: Callable[[float], Mapping[str, Any]], *, few: bool = True, grey: bool = False
+) -> Line:
+    """Curve of P(HMI), whose `score` has an estimate at any alert limit, up to where it is 0."""
+    found: list[Mapping[str, Any]] = []
+    for limit in LIMITS_M:
+        found.append(score(limit))
+        if not found[-1]["value"]:
+            break
+    return make_curve(label, LIMITS_M[: len(found)], found, few=few, grey=grey)
 
 
-def _point(look: Look, score: dict[str, Any]) -> dict[str, Any]:
-    """How a cell is marked: filled unless it is over the alarm budget."""
-    fair = score["within_budget"] is not False
-    return {
-        "fmt": look.marker,
-        "ms": 11 if look.marker == "*" else 7,
-        "color": look.colour,
-        "mec": "white" if fair else look.colour,
-        "mfc": look.colour if fair else "white",
-        "zorder": 4,
-        "clip_on": False,
-    }
+@contextmanager
+def _drawing(draw: Draw, height_in: float) -> Iterator[Figure]:
+    figure_type = figure_class()
+    import matplotlib as mpl
+
+    with mpl.rc_context(STYLE):
+        figure = figure_type(figsize=(WIDTH_IN, height_in), layout="constrained")
+        ax = figure.subplots()
+        style(ax)
+        draw(ax)
+        labels = ax.get_legend_handles_labels()[1]
+        if labels:
+            longest = max(map(len, labels))
+            columns = 1 if longest > 36 else 2 if longest > 17 else 3
+            figure.set_figheight(height_in + LEGEND_IN * -(-len(labels) // columns))
+            figure.legend(loc="outside lower left", ncols=columns)
+        yield figure
 
 
-def _errors(
-    estimate: dict[str, Any], scale: float = 1.0, least: float = -math.inf
-) -> tuple[float, list[list[float]]]:
-    """Value, and how far it is to the ends of its interval, both at least so large."""
-    low, value, high = (max(scale * estimate[key], least) for key in ("low", "value", "high"))
-    return value, [[value - low], [high - value]]
+def render_svg(draw: Draw, height_in: float) -> str:
+    """Drawing as an SVG element whose bytes depend on it alone, in the colours of the page."""
+    buffer = io.StringIO()
+    with _drawing(draw, height_in) as figure:
+        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        figure.savefig(buffer, format="svg", transparent=True, metadata=nothing)
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    box = re.search(r'viewBox="[^"]*"', text)
+    assert box is not None
+    text = f'<svg role="img" {box[0]}>' + text[text.index(">") + 1 :]
+    text = re.sub(r'<g id="[^"]*">', "<g>", re.sub(r"\n\s*", "\n", text))
+    for colour, own in PAGE_COLOURS.items():
+        text = text.replace(colour, own)
+    return text
 
 
-def draw_trade(
-    ax: Axes,
-    scores: dict[str, dict[str, Any]],
-    searches: list[dict[str, Any]],
-    budget: float,
-    look: dict[str, Look],
-) -> None:
-    """Mean displacement against the alarm rate: points of the cells, lines of the searches."""
-    style(ax)
-    ax.axvline(100 * budget, color=GREY, lw=1, ls=":")
-    _note(ax, "budget", (100 * budget, 0.02), (4, 0), rotation=90, va="bottom")
-    for search in searches:
-        by_runs = sorted(search["trials"], key=itemgetter("runs"))
-        last = {trial["value"]: trial for trial in by_runs}  # that on the most runs
-        trials = sorted(last.values(), key=itemgetter("value"))
-        rates = [100 * trial["alarm_rate"] for trial in trials]
-        moved = [max(trial["stealthy_displacement_m"], SMALLEST_M) for trial in trials]
-        ax.plot(
-            rates,
-            moved,
-            ".-",
-            color=look[search["spoofer"]].colour,
-            lw=1,
-            ms=4,
-            alpha=0.45,
-            zorder=2,
-        )
-    for label, score in scores.items():
-        if label == "none" or score["stealthy_displacement_m"]["value"] is None:
-            continue
-        x, width = _errors(score["alarm_rate"], 100.0)
-        y, height = _errors(score["stealthy_displacement_m"], least=SMALLEST_M)
-        ax.errorbar(x, y, xerr=width, yerr=height, capsize=2, **_point(look[label], score))
-    ax.set_xlim(-3, 103)
-    _log_metres(ax)
-    ax.set_xlabel("P(alarm | silent twin) [%] (hollow: over budget)")
+def save_drawing(draw: Draw, height_in: float, path: Path) -> Path:
+    with _drawing(draw, height_in) as figure:
+        return save_figure(figure, path, dpi=130)
 
 
-def draw_exceedance(
-    ax: Axes, cells: dict[str, RunRecord], look: dict[str, Look], limit_m: float
-) -> None:
-    """Probability that the undetected displacement exceeds a limit."""
-    style(ax)
+def dots_height(rows: Sequence[DotRow]) -> float:
+    return 0.42 * len(rows) + 0.9
+
+
+def draw_dots(
+    rows: Sequence[DotRow], text: str, *, limit_m: float | None = None, log: bool = True
+) -> Draw:
+    """Rows of scores on a common axis, of displacements [m] if `log`, else [%]; one marker for each
+    series."""
+    names = list(dict.fromkeys(dot.series for row in rows for dot in row.dots))
+
+    def draw(ax: Axes) -> None:
+        for k, row in enumerate(rows):
+            low, high = row.band
+            if low is not None and high is not None:
+                ax.barh(k, high - low, left=low, height=0.3, color=GREY, alpha=0.25, lw=0)
+            for edge in (low, high):
+                if edge is not None:
+                    ax.plot([edge, edge], [k - 0.15, k + 0.15], color=GREY, lw=2)
+            for dot in row.dots:
+                _draw_dot(ax, k, dot, names.index(dot.series))
+            place: dict[str, Any] = {"transform": ax.get_yaxis_transform(), "va": "center"}
+            ax.text(0.005, k - 0.36, row.label, fontsize=8, parse_math=False, **place)
+        ax.set_yticks([])
+        ax.set_ylim(len(rows) - 0.5, -0.95)
+        if log:
+            _scale_metres(ax, "x")
+            if limit_m is not None:
+                _draw_limit(ax, limit_m)
+            ax.set_xlim(left=max(ax.get_xlim()[0], SMALLEST_M))
+        else:
+            ax.set_xlim(-2.0, 102.0)
+        for k, name in enumerate(names):
+            ax.plot([], [], MARKERS[k % 8], color=_colour(k), label=_plain(name))
+        ax.set_xlabel(text)
+
+    return draw
+
+
+def _draw_dot(ax: Axes, row: float, dot: Dot, series: int) -> None:
+    value, low, high = (dot.estimate[key] for key in ("value", "low", "high"))
+    if value is None:
+        return
+    value, low, high = (max(x, 1e-9) for x in (value, value if low is None else low, high or value))
+    colour = _colour(series)
+    filled: dict[str, Any] = {"mfc": colour if dot.fair else "none", "mec": colour}
+    spread = [[max(value - low, 0.0)], [max(high - value, 0.0)]]
+    look: dict[str, Any] = {"fmt": MARKERS[series % 8], "ms": 6, "capsize": 2, "color": colour}
+    ax.errorbar(value, row, xerr=spread, zorder=3, **look, **filled)
+
+
+def _colour(k: int) -> str:
+    return COLOURS[k % len(COLOURS)]
+
+
+def _plain(label: str) -> str:
+    """Label of a legend that is no formula, and is not left out, as one with a dash is."""
+    return re.sub("^_", " _", textwrap.fill(label, 60).replace("$", r"\$"))
+
+
+def _scale_metres(ax: Axes, name: str) -> None:
+    """Logarithmic axis of displacements, in plain numbers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    getattr(ax, f"set_{name}scale")("log")
+    axis = getattr(ax, f"{name}axis")
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 500.0 * low else (1.0,)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _draw_limit(ax: Axes, limit_m: float) -> None:
     ax.axvline(limit_m, color=GREY, lw=1, ls=":")
-    _note(ax, f"{limit_m:g} m", (limit_m, 1.0), (3, -10))
-    far = [float(cell.displacement_m.max()) for cell in cells.values()]
-    decades = max(math.ceil(math.log10(max(*far, 1000.0))), 3) if far else 3
-    limits = np.geomspace(1.0, 10.0**decades, 400)
-    for label, cell in cells.items():
-        x = cell.displacement_m[cell.counts]
-        part = (x[None, :] > limits[:, None]).sum(axis=1) / max(len(x), 1)
-        colour, _, dashes, width = look[label]
-        ax.plot(limits, part, dashes, color=colour, lw=width)
-    ax.set_xscale("log")
-    ax.set_xlim(1.0, 10.0**decades)
-    marks = [10**k for k in range(decades + 1)]
-    ax.set_xticks(marks, [str(mark) for mark in marks])
-    ax.set_ylim(-0.03, 1.05)
-    ax.set_xlabel("alert limit [m]")
+    place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+    text = f"alert limit {limit_m:g} m"
+    ax.annotate(text, (limit_m, 1.0), xytext=(3, -2), color=GREY, fontsize=8, va="top", **place)
 
 
-def draw_course(ax: Axes, cells: dict[str, RunRecord], look: dict[str, Look]) -> None:
-    """Induced error over time, and when most runs have alarmed."""
-    style(ax)
-    alpha = 0.15 if len(cells) <= 4 else 0.07
-    for label, cell in cells.items():
-        colour, _, dashes, width = look[label]
-        time = np.array(cell.series["time_s"])
-        low, middle, high = (
-            np.maximum(cell.series["error_m"][key], SMALLEST_M) for key in ("p05", "p50", "p95")
-        )
-        ax.fill_between(time, low, high, color=colour, alpha=alpha, lw=0)
-        alarmed = np.array(cell.series["alarmed"]) >= 0.5
-        known = int(alarmed.argmax()) if alarmed.any() else len(time)
-        ax.plot(time[: known + 1], middle[: known + 1], dashes, color=colour, lw=width)
-        ax.plot(time[known:], middle[known:], color=colour, lw=1.2, ls=":")
-        if known < len(time):
-            ax.plot(time[known], middle[known], "X", color=colour, ms=10, mec="white")
-        end = cell.head["steps"] * cell.interval_s
-    if cells:
-        ax.axvspan(end, time[-1], color=GREY, alpha=0.12, lw=0)
-        _note(ax, "hold", (end, 0.02), (2, 0), rotation=90, va="bottom")
-        ax.set_xlim(0.0, time[-1])
-    _log_metres(ax)
-    ax.set_xlabel("time since the onset [s] (X: half of the runs have alarmed)")
+def draw_lines(
+    lines: Sequence[Line], x: str, y: str, *, log: str = "", limit_m: float | None = None
+) -> Draw:
+    """Curves of several detectors; `log`: which axes, of ``xy``, have powers of ten."""
+
+    def draw(ax: Axes) -> None:
+        count = 0
+        for line in lines:
+            look: dict[str, Any] = {"color": GREY, "ls": ":", "lw": 1.2}
+            if not line.grey:
+                dashes = DASHES[count // len(COLOURS) % len(DASHES)]
+                look, count = {"color": _colour(count), "ls": dashes, "lw": 1.6}, count + 1
+            _draw_line(ax, line, look)
+        for axis in log:
+            _scale_metres(ax, axis)
+        if limit_m is not None:
+            _draw_limit(ax, limit_m)
+        ax.set_xlabel(x)
+        ax.set_ylabel(y)
+
+    return draw
 
 
-COLUMNS = 4  # detectors side by side; more of them start another block
-ROWS_IN = (3.2, 3.2, 3.2)  # heights of the panels below the one of the means, in inches
-LABELS = (
-    "stealthy displacement [m]",
-    "P(undetected displacement > limit)",
-    "distance from the clean twin [m]",
-)
-"""Their vertical axes."""
-
-
-def draw_campaign(results: CampaignResults, summary: dict[str, Any]) -> Path:
-    look = looks(results.config["spoofers"])
-    detectors = [row["detector"] for row in summary["detectors"]]
-    columns = max(min(len(detectors), COLUMNS), 1)
-    blocks = [detectors[i : i + COLUMNS] for i in range(0, len(detectors), COLUMNS)]
-    heights = (0.24 * len(look) + 0.8, *ROWS_IN)
-    figure = figure_class()(
-        figsize=(max(5.2 * columns, 8.0), sum(heights) * len(blocks) + 1.0), layout="constrained"
-    )
-    axes = figure.subplots(
-        len(heights) * len(blocks),
-        columns,
-        sharey="row",
-        squeeze=False,
-        height_ratios=heights * len(blocks),
-    )
-    for b, block in enumerate(blocks):
-        rows = axes[len(heights) * b : len(heights) * (b + 1)]
-        for ax in rows[:, len(block) :].flat:
-            ax.set_visible(False)
-        for c, detector in enumerate(block):
-            _draw_column(rows[:, c], detector, results, summary, look)
-        for row in (rows[1], rows[3]):
-            row[0].set_ylim(bottom=SMALLEST_M)  # of all, now that none is drawn any more
-        for ax, text in zip(rows[1:, 0], LABELS, strict=True):
-            ax.set_ylabel(text)
-    kinds = ", ".join(sorted({cell["attack"] for cell in summary["cells"]}))
-    title = f"{summary['scenario']}: {kinds} attacks, {summary['runs']} runs each"
-    figure.suptitle(title, fontsize=13)
-    if look:
-        figure.legend(
-            handles=[_key(axes[0, 0], label, drawn) for label, drawn in look.items()],
-            loc="outside lower center",
-            ncols=min(len(look), 2 * columns),
-            frameon=False,
-            handlelength=3.5,
-        )
-    return save_figure(figure, results.path / PICTURE, dpi=130)
-
-
-def _draw_column(
-    column: NDArray[np.object_],
-    detector: str,
-    results: CampaignResults,
-    summary: dict[str, Any],
-    look: dict[str, Look],
-) -> None:
-    cells = {name: found for name in look if (found := results.runs(detector, name)) is not None}
-    scores = {cell["spoofer"]: cell for cell in summary["cells"] if cell["detector"] == detector}
-    searches = [search for search in summary["tuning"] if search["detector"] == detector]
-    (bracket,) = (row["bracket"] for row in summary["detectors"] if row["detector"] == detector)
-    draw_means(column[0], scores, look, bracket)
-    draw_trade(column[1], scores, searches, summary["budget"], look)
-    draw_exceedance(column[2], cells, look, summary["alert_limit_m"])
-    draw_course(column[3], cells, look)
-    column[0].set_title(detector, fontweight="bold", pad=16)
-
-
-def _key(ax: Axes, label: str, look: Look) -> Line2D:
-    kind, size = look.dashes + look.marker, 11.0 if look.marker == "*" else 8.0
-    return ax.plot([], [], kind, color=look.colour, lw=2.0, ms=size, mec="white", label=label)[0]
+def _draw_line(ax: Axes, line: Line, look: dict[str, Any]) -> None:
+    x, y = np.asarray(line.x), np.asarray(line.y)
+    end = len(x) if line.end is None else line.end + 1
+    ax.plot(x[:end], y[:end], label=_plain(line.label), **look)
+    if line.end is not None:
+        ax.plot(x[line.end :], y[line.end :], **{**look, "lw": 1, "ls": ":"})
+        ax.plot(x[line.end], y[line.end], "X", color=look["color"], ms=8)
+    if line.band is not None:
+        ax.fill_between(x, *line.band, color=look["color"], alpha=0.12, lw=0)
 
 
 def play_frames(

@@ -96,10 +96,15 @@ class Table:
 FIELDS = Table.of_texts("", "")  # names and values
 
 
+def in_percent(estimate: Mapping[str, float | None]) -> dict[str, float | None]:
+    """Proportion and the ends of its interval, in per cent."""
+    found = {key: estimate[key] for key in ("value", "low", "high")}
+    return {key: None if x is None else 100.0 * x for key, x in found.items()}
+
+
 def percent(estimate: Mapping[str, float | None], digits: int = 1) -> str:
     """Proportion with its interval, in per cent."""
-    found = {key: estimate[key] for key in ("value", "low", "high")}
-    return interval({k: None if x is None else 100.0 * x for k, x in found.items()}, digits)
+    return interval(in_percent(estimate), digits)
 
 
 def share(digits: int) -> Callable[[float], str]:
@@ -128,6 +133,7 @@ def _environment(folder: Path) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
+        autoescape=jinja2.select_autoescape(("html.j2",), default_for_string=False),
     )
     made.filters |= {
         "g": "{:g}".format,
@@ -144,12 +150,6 @@ def _environment(folder: Path) -> Environment:
 def render_template(name: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -> str:
     """Text of a template, with one end of its last line."""
     return _environment(folder).get_template(name).render(values).rstrip() + "\n"
-
-
-def render_block(name: str, block: str, values: Mapping[str, Any]) -> list[str]:
-    """Lines of one block of a template."""
-    template = _environment(TEMPLATES).get_template(name)
-    return "".join(template.blocks[block](template.new_context(dict(values)))).splitlines()
 
 
 def texts(name: str) -> Any:

@@ -15,6 +15,7 @@ from ...core.plots import BLUE, GREEN, GREY, ORANGE, figure_class, save_figure, 
 from ...core.registry import whole_number
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
+from ...simulation.simulator import FrameData
 from ...spoofers.base import AXES
 from .play import FloatArray, SpooferController, list_attack_epochs, to_local
 from .players import PlayerSpec
@@ -46,6 +47,7 @@ class Episode:
     - `alarm` (L + K, 2) bool;
     - `error_n` (K, 2, d) distance from the truth, north, east (and down) [m];
     - `displacement` (K, a) commanded displacement [m];
+    - `frames` (K,) position and sky of the attacked receiver;
     - `channels` (a,) what is displaced;
     - `onset_epoch`: epoch of `Setup.epoch_time` after which the attack starts.
     """
@@ -60,6 +62,7 @@ class Episode:
     alarm: NDArray[np.bool_]
     error_n: FloatArray
     displacement: FloatArray
+    frames: tuple[FrameData, ...]
     channels: tuple[str, ...]
     onset_epoch: int
 
@@ -134,6 +137,7 @@ def play_episode(
     truth = setup.true_position
     apart = np.zeros((epochs, 2, truth.shape[1]))
     displacement = np.zeros((epochs, len(setup.action_names)))
+    frames = []
     for k in range(epochs):
         engine.step(attacker.command(k))
         for column, each in ((ATTACKED, simulator), (TWIN, twin)):
@@ -142,6 +146,7 @@ def play_episode(
             ratio[live + k, column] = each.ratio()[0]
             apart[k, column] = (each.position - truth[each.epochs])[0]
         displacement[k] = simulator.commanded_displacement[0]
+        frames.append(simulator.frame())
     return Episode(
         setup=setup,
         detector=detector,
@@ -154,6 +159,7 @@ def play_episode(
         error_n=to_local(apart, setup.C_en[list_attack_epochs(setup, simulator.onset)]),
         onset_epoch=int(simulator.onset[0]),
         displacement=displacement,
+        frames=tuple(frames),
         channels=tuple(name.rsplit("_", 1)[0] for name in setup.action_names),
     )
 

@@ -449,7 +449,7 @@ def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, An
         "counted": int(found.counts.sum()),
         "exceeded": [_score_aim(found, aim) for aim in aims if aim.share is not None],
         "p_hmi": [
-            _hazardous(found, measure, limit)
+            score_hazard(found, measure, limit)
             for measure in found.winners[0].displacement
             for limit in searched
         ],
@@ -472,7 +472,7 @@ def _score_aim(found: Protection, aim: Aim) -> dict[str, Any]:
     return {**named, "runs": int(rows.sum()), **value, **_attack(winner)}
 
 
-def _hazardous(found: Protection, measure: str, limit: float) -> dict[str, Any]:
+def score_hazard(found: Protection, measure: str, limit: float) -> dict[str, Any]:
     """P(HMI | attack) at an alert limit [m]."""
     aim = Aim(measure, limit_m=limit)
     winner = found.worst(aim)

@@ -1,0 +1,150 @@
+"""Page of detectors that were scored by families of attacks, of an audit, too."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ...tasks import DETECTOR_TASKS
+from ..experiments.store import Store
+from ..runs.record import MEASURES, Protection
+from ..scores.campaign import score_hazard
+from ..scores.detector import FamilyScore
+from .figures import (
+    Dot,
+    DotRow,
+    Line,
+    dots_height,
+    draw_dots,
+    draw_lines,
+    make_curve,
+    make_hazard_curve,
+)
+from .page import Page, Picture, Sheet, list_played_settings
+from .table import Table, interval, percent, yes_no
+from .tasks import DETECTOR_SCORES
+
+Row = dict[str, Any]
+FAMILIES = Table(
+    ("detector", "detector"),
+    ("family", "family"),
+    ("held out", "held_out", yes_no),
+    ("P(HMI) [%]", "p_hmi", percent),
+    ("exceeded in 50 % [m]", lambda row: row["exceeded_m"]["0.5"], interval),
+    ("in 5 % [m]", lambda row: row["exceeded_m"]["0.05"], interval),
+    ("worst attack", lambda row: f"({row['attack']['letter']}) {row['attack']['spoofer']}"),
+    ("runs that count", "counted"),
+)
+
+
+def build_scores_page(
+    store: Store, scores: Mapping[str, Any] | None = None, replay: Row | None = None
+) -> Page:
+    """Report of a folder; `scores`: ``detectors``, as `DetectorScore.as_dict` or an audit has them,
+    None of what is not finished."""
+    config = store.config["config"]
+    found, limit_m = load_families(store), config["alert_limit_m"]
+    rows = [{"detector": each, **x.as_dict()} for each, own in found.items() for x in own]
+    records = [] if scores is None else scores["detectors"]
+    played = {(row["detector"], row["family"]) for row in rows}
+    task = DETECTOR_TASKS.get(config["task"])
+    keys = [] if task is None or records else [each.key for each in task.families]
+    return Page(
+        title=f"{config['task']}: {', '.join(found)}",
+        verdict=[line for record in records for line in write_score_verdict(record)],
+        missing=[f"{each} / {key}" for each in found for key in keys if (each, key) not in played],
+        pictures=list_score_pictures(found, rows, records, limit_m),
+        sheets=[
+            Sheet("Detectors", DETECTOR_SCORES, records),
+            Sheet("Families of attacks", FAMILIES, rows),
+        ],
+        replay=replay,
+        played=list_played_settings(store),
+        scores=scores,
+    )
+
+
+def load_families(store: Store) -> dict[str, list[FamilyScore]]:
+    """Scores by detector of the finished families; of several sizes that with most of them."""
+    cells = [(cell.identity, found) for cell, found in store.read_all() if cell.identity]
+    cells = [(named, found) for named, found in cells if isinstance(named.get("family"), dict)]
+    sizes = [str((named["runs"], named["selection"])) for named, _ in cells]
+    usual = Counter(sizes).most_common(1)[0][0] if sizes else ""
+    scores: dict[str, list[FamilyScore]] = {}
+    for (named, found), size in zip(cells, sizes, strict=True):
+        if size == usual:
+            family, worst = named["family"], Protection.from_parts(found.arrays, found.record)
+            limit_m = store.config["config"]["alert_limit_m"]
+            score = FamilyScore(family["key"], family["held_out"], limit_m, worst)
+            scores.setdefault(worst.detector, []).append(score)
+    return scores
+
+
+def write_score_verdict(record: Row) -> list[str]:
+    """What is known of a detector, in words."""
+    half, few = (interval(record["exceeded_m"][share]) for share in ("0.5", "0.05"))
+    rate = interval(record["false_alarms_per_hour"])
+    return [
+        f"{record['detector']}: under its worst family of attacks, {record['worst_family']}, the "
+        f"error is beyond {record['alert_limit_m']:g} m without an alarm in time in "
+        f"{percent(record['p_hmi'])} % of the runs. The worst attacks displace by {half} m in half "
+        f"of the runs and by {few} m in 5 % of them. False alarms: {rate} an hour.",
+        f"{record['runs']} runs of every family, attacks chosen on {record['selection_runs']} "
+        "others; in brackets 95 % intervals. Another attack may reach more.",
+        *record.get("warnings", []),
+        *([record["answer"]] if "answer" in record else []),
+    ]
+
+
+def list_score_pictures(
+    found: Mapping[str, Sequence[FamilyScore]],
+    rows: Sequence[Row],
+    records: Sequence[Row],
+    limit_m: float,
+) -> list[Picture]:
+    if not rows:
+        return []
+    floors = [each["floor_m"]["half"]["value"] for each in records if each.get("floor_m")]
+    keys = dict.fromkeys(row["family"] for row in rows)
+    own = {key: [row for row in rows if row["family"] == key] for key in keys}
+    band = (floors[0] if floors else None, None)
+    moved = [
+        DotRow(key, [Dot(x["detector"], x["exceeded_m"]["0.5"]) for x in own[key]], band)
+        for key in keys
+    ]
+    curves = [_hazard(detector, families) for detector, families in found.items()]
+    pictures = [
+        Picture(
+            "Displacement by family of attacks",
+            "Undetected displacement that the worst attack of each family exceeds in 50 % of the "
+            "runs. Grey: floor, where known.",
+            draw_dots(moved, "displacement [m]", limit_m=limit_m),
+            dots_height(moved),
+        ),
+        Picture(
+            "P(HMI) against alert limit",
+            "The largest over all attacks of all families at each alert limit.",
+            draw_lines(curves, "alert limit [m]", "P(HMI)", log="x", limit_m=limit_m),
+        ),
+    ]
+    if ages := [_ages(each) for each in records if "ages" in each]:
+        title, caption = "Found at every age", "Test ramps found, by time from switch-on to onset."
+        draw = draw_lines(ages, "time since switch-on [s]", "share found", log="x")
+        pictures.append(Picture(title, caption, draw))
+    return pictures
+
+
+def _hazard(detector: str, families: Sequence[FamilyScore]) -> Line:
+    """P(HMI) of the worst family at every limit, with its interval."""
+
+    def score(limit: float) -> Row:
+        found = [score_hazard(family.protection, MEASURES[0], limit) for family in families]
+        return max(found, key=lambda row: -1.0 if row["value"] is None else row["value"])
+
+    return make_hazard_curve(detector, score)
+
+
+def _ages(record: Row) -> Line:
+    ages = record["ages"]
+    return make_curve(record["detector"], ages["age_s"], ages["found"])
