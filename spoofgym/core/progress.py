@@ -105,6 +105,7 @@ def show_progress(
         bars.TimeRemainingColumn(),
         console=Console(stderr=True),
         transient=True,
+        redirect_stdout=sys.stdout.isatty(),  # what is printed meanwhile stays on stdout
         auto_refresh=False,  # its thread is one that nothing waits for
     )
     task = shown.add_task(start, total=max(total, 1e-9))
