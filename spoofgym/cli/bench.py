@@ -146,6 +146,7 @@ def bench(
             generations=size.generations,
         ),
         selection=make_selection(size.selection_runs),
+        floor_worlds=size.floor_worlds,
     )
     if fit_only and not any(player.tuned for player in suite.spoofer_players):
         raise ValueError("--fit-only needs a spoofer with a setting that is tuned")

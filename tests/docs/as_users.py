@@ -67,7 +67,7 @@ SMALLER: dict[str, tuple[str | None, str]] = {
     r"spoofgym calibrate ": ("--runs 2000", "20,000 runs of its world"),
     r"spoofgym bench --detector ewma ": (CAMPAIGN, "minutes"),
     r"spoofgym bench --detector my_detector": (CAMPAIGN, "ten minutes"),
-    r"make bench$": (f'ARGS="{CAMPAIGN}"', "a quarter of an hour; a fresh checkout runs it"),
+    r"make bench$": (f'ARGS="{CAMPAIGN}"', "minutes; a fresh checkout runs it"),
     r"python -m baselines\.papers all$": (None, "the five papers, which have a page each"),
     r"python -m baselines\.papers\.page$": ("ke2022", "the one that its page runs in full before"),
     r"spoofgym protect (?!.*--selection-seeds)": (PROTECTION, "1000 runs of every attack"),

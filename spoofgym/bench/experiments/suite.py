@@ -130,6 +130,9 @@ class Suite:
         help="Search for the worst attack of the attack suite, by which detectors are protected; "
         "None for none.",
     )
+    floor_worlds: int | None = setting(
+        default=None, least=1, help="Worlds of the floor; by default one under every sky."
+    )
 
     def __post_init__(self) -> None:
         _ = self.world  # which raises where a setting is not one of the victim's
@@ -205,7 +208,12 @@ class Suite:
         """Floor and zero-alarm bounds; `settings`: ``worlds`` of `Brackets`."""
         budget = self.tuning.budget
         return DisplacementBounds(
-            self.world, self.detector_players, self.entropy, budget, **settings
+            self.world,
+            self.detector_players,
+            self.entropy,
+            budget,
+            floor_worlds=self.floor_worlds,
+            **settings,
         )
 
     def optima(self, threads: int | None = None) -> Optima:
@@ -265,6 +273,7 @@ class Suite:
             "attack_suite": self._attack_suite(),
             "alert_limit_m": float(self.alert_limit_m),
             "alert_limits_m": list(ALERT_LIMITS_M),
+            **({} if self.floor_worlds is None else {"floor_worlds": self.floor_worlds}),
             "notes": [
                 *self.notes,
                 *self.captions,
@@ -318,16 +327,17 @@ TESTS = ("ewma", "joint-chart", "snapshot-chi2", "raim")
 
 class Budget(NamedTuple):
     """How much is played: runs that are scored, that tune, and that choose the worst attack (0 for
-    none), and generations of searches."""
+    none), generations of searches, and worlds of the floor (None for one under every sky)."""
 
     runs: int
     training_runs: int
     selection_runs: int
     generations: int = GENERATIONS
+    floor_worlds: int | None = None
 
 
 BUDGETS = {
-    "quick": Budget(96, 64, 24, 8),
+    "quick": Budget(96, 64, 24, 8, 4),
     "standard": Budget(256, 256, 48),
     "full": Budget(1000, 256, 192),
 }

@@ -436,15 +436,11 @@ def shorten_label(detector: str) -> str:
     return re.sub(r"\(false_alarms_per_hour=[^,)]*\)|, ?false_alarms_per_hour=[^,)]*", "", detector)
 
 
-def _select_worst(share: float) -> Any:
-    return lambda protection: headline(protection, share)
-
-
 WORST = Table(
     ("detector", lambda row: shorten_label(row["detector"]).replace(",", ", ")),
-    ("in 50 % of runs [m]", _select_worst(0.5), interval),
-    ("in 5 % [m]", _select_worst(0.05), lambda found: metres(found["value"])),
-    ("worst attack", _select_worst(0.5), itemgetter("spoofer")),
+    ("in 50 % of runs [m]", _select_headline(0.5), interval),
+    ("in 5 % [m]", _select_headline(0.05), lambda found: metres(found["value"])),
+    ("worst attack", _select_headline(0.5), itemgetter("spoofer")),
 )
 """A detector, and what the worst attack of the suite exceeds undetected."""
 WIDTHS = (44, 22, 10, 20)
@@ -461,7 +457,8 @@ class WorstRows:
     def list_new(self, results: CampaignResults) -> list[str]:
         """Lines of detectors that have been finished since the last call."""
         found = [worst for each in self.waiting if (worst := results.protection(each)) is not None]
-        rows = [score_protection(each, ()) for each in found]
+        scores = [(each.detector, score_protection(each, ())) for each in found]
+        rows = [{"detector": name, "protection": score} for name, score in scores]
         self.waiting = [x for x in self.waiting if x not in {each.detector for each in found}]
         lines = [line for row in rows for line in WORST.lines(row, WIDTHS)]
         titles, self.titles = (self.titles, []) if rows else ([], self.titles)
