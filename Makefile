@@ -22,9 +22,7 @@ extras_learn := flights,limits,report,train
 tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tests/docs/test_rl_libraries.py
 
 .DEFAULT_GOAL := help
-bench_detectors = $(addprefix --detector ,solution-separation:filter=augmented,spacing=geometric aime:signals=range_rate \
-	shewhart:signals=range_rate ewma)
-bench_sizes = --seeds 96 --training-seeds 64 --selection-seeds 24
+bench_detectors = $(addprefix --detector ,solution-separation:filter=augmented,spacing=geometric aime:signals=range_rate)
 .PHONY: help venv bench test test-nightly test-cpus test-ray check docs perf benchmarks train learn
 
 help: ## list the targets
@@ -32,8 +30,8 @@ help: ## list the targets
 
 venv: $(VENV)/.installed-bench ## create the virtual environment with what the benchmark needs
 
-bench: $(VENV)/.installed-bench ## play a part of the standard suite and write its report
-	$(VENV)/bin/spoofgym bench --suite standard $(bench_detectors) $(bench_sizes) $(ARGS)
+bench: $(VENV)/.installed-bench ## play a part of the standard suite by a quick budget, and write its report
+	$(VENV)/bin/spoofgym bench --budget quick $(bench_detectors) $(ARGS)
 
 test: $(VENV)/.installed-test ## run all tests; a part of them with ARGS="-k word"
 	$(python) -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)

@@ -9,9 +9,9 @@ from spoofgym.cli import app
 PAPERS = ["--env", "spoofgym/Zhong2025-v0"]
 TIMES = ["--warmup-s", "20", "--live-s", "10", "--attack-s", "20", "--time-to-alert-s", "5"]
 SHORT = [*PAPERS, *TIMES]
-TRAINING = [*SHORT, "--training-seeds", "11", "--budget", "0.25", "--threads", "1"]
-FIXED = ["--nominal", "--selection-seeds", "0", "--set", "domain={}"]
-QUICK = [*TRAINING, *FIXED, "--seeds", "4"]
+TRAINING = [*SHORT, "--training-runs", "11", "--alarm-budget", "0.25", "--threads", "1"]
+FIXED = ["--nominal", "--selection-runs", "0", "--set", "domain={}"]
+QUICK = [*TRAINING, *FIXED, "--runs", "4"]
 TWO = ["--detector", "ewma", "--spoofer", "none", "--spoofer", "ramp:rate_mps=0.4"]
 
 

@@ -23,7 +23,7 @@ def setup():
 
 
 def test_the_floors_are_those_of_the_frontier_and_in_the_picture(setup, tmp_path):
-    more = ["--nominal", "--sensors", "known", "--budget", "0.1", "--figure", "floor.svg"]
+    more = ["--nominal", "--sensors", "known", "--alarm-budget", "0.1", "--figure", "floor.svg"]
     record = read(*LINE, *more, "--json")
     frontier = compute_frontier(setup, sensors_known=True)
     p_fa = run_probability(0.2, 25.0)

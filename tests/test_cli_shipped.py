@@ -25,7 +25,7 @@ def zoo_folder(written, monkeypatch):
     return written
 
 
-def test_list_and_card_show_what_is_shipped(zoo_folder):
+def test_list_shows_what_is_shipped(zoo_folder):
     rows = read("list", "shipped", "--json")["shipped"]
     assert [row["name"] for row in rows] == ["curve", "push", "track"]
     assert (rows[2]["knowledge"], rows[2]["designed_on"]) == ("tracking", "ewma, by hand")
@@ -33,14 +33,14 @@ def test_list_and_card_show_what_is_shipped(zoo_folder):
     table = " ".join(call("list").output.split())
     assert "ewma: 12.5 m (11.0 to 14.0), alarms 20.0 % (clean 18.0 %)" in table
     for name in ("push", zoo_folder / "push.onnx", zoo_folder / "push.json"):
-        shown = call("card", name).output
+        shown = call("list", name).output
         for part in ("python -m by.hand", "40 commands", "12.5 (11.0 to 14.0)", "push.onnx, "):
             assert part in shown
-        assert read("card", name, "--json")["name"] == "push"
-    assert "rates_mps" in call("card", "curve").output
-    wrong = " ".join(refused("card", "pull").split())
-    assert "unknown shipped spoofer or detector 'pull'; valid: curve, push, track" in wrong
-    assert "there is no card nowhere.json" in refused("card", "nowhere.json")
+        assert read("list", name, "--json")["name"] == "push"
+    assert "rates_mps" in call("list", "curve").output
+    wrong = " ".join(refused("list", "pull").split())
+    assert "there is no 'pull'; `spoofgym list` shows all names; did you mean push" in wrong
+    assert "there is no card nowhere.json" in refused("list", "nowhere.json")
 
 
 def test_a_card_of_a_detector_is_shown_by_name_and_by_file(tmp_path, monkeypatch):
@@ -48,12 +48,12 @@ def test_a_card_of_a_detector_is_shown_by_name_and_by_file(tmp_path, monkeypatch
     file = write_guard(tmp_path)
     edit_card(file, training={"best_pass": 7})
     for name in ("guard", file, file.with_suffix(".json")):
-        shown = call("card", name).output
+        shown = call("list", name).output
         for part in ("detector-policy", "hidden (4)", "12 slots, epochs of 0.5 s", "best_pass"):
             assert part in shown
-        assert read("card", name, "--json")["statistic"] == "receiver"
+        assert read("list", name, "--json")["statistic"] == "receiver"
     Path("damaged.json").write_text('{"kind": "detector-policy"}')
-    assert "card damaged.json" in refused("card", "damaged.json")
+    assert "card damaged.json" in refused("list", "damaged.json")
 
 
 def test_bench_and_run_take_learned_and_optimised_spoofers(zoo_folder):

@@ -25,8 +25,8 @@ IN_TIME_S = 10.0 if os.getloadavg()[0] <= (os.cpu_count() or 1) else 300.0
 """On a machine that does nothing else; what is looked for under load is one that never ends."""
 TIMES = ["--warmup-s", "20", "--live-s", "10", "--attack-s", "60", "--time-to-alert-s", "5"]
 CHOSEN = ["--detector", "ewma", "--spoofer", "none", "--spoofer", "ramp"]
-SIZE = ["--training-seeds", "48", "--budget", "0.25", "--seeds", "96", "--threads", "2"]
-SIZE += ["--nominal", "--selection-seeds", "0", "--set", "domain={}"]
+SIZE = ["--training-runs", "48", "--alarm-budget", "0.25", "--runs", "96", "--threads", "2"]
+SIZE += ["--nominal", "--selection-runs", "0", "--set", "domain={}"]
 BENCH = ["bench", *TIMES, *CHOSEN, *SIZE]
 ENVIRONMENT = """
 import itertools, random, sys, time

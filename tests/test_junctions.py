@@ -35,7 +35,7 @@ OTHERWISE = {
 }
 """What has to be added to the default world for a policy of an id, none for those not named."""
 FEW = {"runs": 2, "fit_runs": 59, "amplitude": 1.0, "detector": "never"}
-BENCH = ["--detector", "never", "--seeds", 2, "--training-seeds", 59, "--selection-seeds", 0]
+BENCH = ["--detector", "never", "--runs", 2, "--training-runs", 59, "--selection-runs", 0]
 
 
 def told(message):

@@ -105,9 +105,13 @@ def test_skies_are_told_apart_by_the_mean_under_the_worst_attack_of_each():
 
 
 def test_the_command_line_lists_the_tasks_and_the_page_has_the_tables_of_the_cards():
-    found = {each["key"]: each for each in read("tasks", "--json")}
+    found = {each["key"]: each for each in read("list", "tasks", "--json")}
     assert [*found] == [*TASKS, *DETECTOR_TASKS]
     for key in (*v2.TASKS, *v2.DETECTOR_TASKS):
         assert (found[key]["card"] is None) == (found[key]["play"] is not None)
-    assert "spoofgym/BenchD2-v2" in call("tasks").stdout
+    assert read("list", "S1", "--json") == found["S1"]
+    one = call("list", "S1").stdout
+    assert "stealthy displacement" in one
+    assert "S2" not in one
+    assert "spoofgym/BenchD2-v2" in call("list", "tasks").stdout
     assert part_between(PAGE.read_text(), START, END) == f"\n{shown()}"

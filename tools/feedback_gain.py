@@ -22,6 +22,7 @@ from typing import Any
 from agents.folder import Part, Records, error_lines
 from agents.seeds import mark_displacement
 from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.experiments.suite import RATE, list_standard_detectors
 from spoofgym.bench.report.campaign import bound_text, format_spoofer
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.runs.players import specify_detector
@@ -127,10 +128,8 @@ def play_case(label: str, case: dict[str, Any], given: argparse.Namespace) -> di
 
 
 def find_spec(label: str) -> dict[str, Any]:
-    from spoofgym.cli.suites import standard_suite
-
-    suite = standard_suite(None, {"spoofers": []})
-    (found,) = (entry.spec for entry in suite.detector_players if entry.label == label)
+    specs = ({"false_alarms_per_hour": RATE, **spec} for spec in list_standard_detectors())
+    (found,) = (each.spec for each in map(specify_detector, specs) if each.label == label)
     return dict(found)
 
 

@@ -71,7 +71,8 @@ IMPORTS = {
     "default_rate": "spoofgym.detectors.calibrated:DEFAULT_RATE",
     "own_calibrations": "spoofgym.detectors.calibration:FOLDER_VARIABLE",
 }
-"""What is imported or patched, by use; the name map may give other places in the new tree."""
+"""What is imported or patched, by use; the name map may give other places in the new tree, and
+other options of commands."""
 TIMES = "--scenario zhong2025 --warmup-s 20 --live-s 10 --attack-s 20 --time-to-alert-s 5"
 BENCH = (
     f"spoofgym bench --json --training-seeds 16 --budget 0.25 --selection-seeds 0 {TIMES} "
@@ -441,7 +442,7 @@ class Player:
         """Start a command in a folder, without calibrations of the user's own."""
         folder.mkdir(exist_ok=True)
         return subprocess.Popen(
-            [sys.executable, "-m", *line.split()],
+            [sys.executable, "-m", *(self.imports.get(word, word) for word in line.split())],
             cwd=folder,
             env={**os.environ, self.load("own_calibrations"): str(folder / "own")},
             stdout=subprocess.PIPE,

@@ -30,7 +30,7 @@ from tools.pages import DOCS, marks, put_between, render_page
 
 DATA_FILE, PAGE = DOCS / "headlines.json", DOCS / "scores.md"
 START, END = marks("headlines")
-COMMAND = ["bench", "--suite", "standard"]
+COMMAND = ["bench"]
 WORLD, FIRST = "S1", "trolley"
 """Worlds that are kept: that of the table, and that of the first suite."""
 SPOOFERS = ("ramp", "accelerating-ramp", "open-loop", "feedback")
@@ -124,8 +124,8 @@ def _displacement(cell: dict[str, Any]) -> str:
 def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("results/headlines"))
-    for name in ("seeds", "training-seeds", "selection-seeds"):
-        parser.add_argument(f"--{name}", help="in place of the suite's own")
+    for name in ("budget", "runs", "training-runs", "selection-runs"):
+        parser.add_argument(f"--{name}", help="as of `spoofgym bench`")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     parser.add_argument("--scores-only", action="store_true", help="play nothing, score `--out`")
     given = vars(parser.parse_args(arguments))

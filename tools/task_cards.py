@@ -72,7 +72,7 @@ def build_suite(task: Task, sizes: dict[str, int]) -> Suite:
     return Suite(
         **settings,
         spoofers=[add_tuned_setting({"name": name}) for name in SPOOFERS],
-        runs=sizes["seeds"],
+        runs=sizes["runs"],
         entropy=sizes["entropy"],
         tuning=Tuning(runs=sizes["training"], sift_runs=sizes["training"] // 4, rule=EXACT),
         selection=Selection(runs=sizes["selection"], sift_runs=max(sizes["selection"] // 4, 1)),
@@ -241,15 +241,15 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("tasks", nargs="*", help=f"of {', '.join(PLAYED)}; by default all")
     parser.add_argument("--out", type=Path, default=Path("results/tasks"))
-    parser.add_argument("--seeds", type=int, default=500, help="evaluation runs of every cell")
-    parser.add_argument("--training-seeds", type=int, default=192, help="of which a quarter sifts")
-    parser.add_argument("--selection-seeds", type=int, default=96)
+    parser.add_argument("--runs", type=int, default=500, help="evaluation runs of every cell")
+    parser.add_argument("--training-runs", type=int, default=192, help="of which a quarter sifts")
+    parser.add_argument("--selection-runs", type=int, default=96)
     parser.add_argument("--entropy", type=int, default=0, help="of all runs")
     parser.add_argument("--campaign", type=Path, help="finished one in the world of one task")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     given = parser.parse_args(arguments)
-    sizes = {name: getattr(given, f"{name}_seeds") for name in ("training", "selection")}
-    sizes |= {"seeds": given.seeds, "entropy": given.entropy}
+    sizes = {name: getattr(given, f"{name}_runs") for name in ("training", "selection")}
+    sizes |= {"runs": given.runs, "entropy": given.entropy}
     for key in () if given.tables_only else given.tasks or PLAYED:
         card = (
             read_campaign(get_task(key), given.campaign)

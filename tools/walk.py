@@ -1,6 +1,6 @@
 """Files of which a function runs during a whole command, in the order of their first calls.
 
-    python -m tools.walk -- bench --suite standard --detector ewma --seeds 4 --jobs 1 --out TMP
+    python -m tools.walk -- bench --detector ewma --runs 4 --jobs 1 --out TMP
     python -m tools.walk --call "spoofgym.evaluate('ramp', task='T2', runs=10)"
 
 A module that is imported only then does not count: all of them are imported beforehand.  Other

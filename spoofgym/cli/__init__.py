@@ -12,26 +12,21 @@ from .calibrate import calibrate
 from .dataset import dataset
 from .game import game
 from .limits import limits
-from .list import card, list_, tasks
+from .list import list_
 from .protect import protect
-from .run import render, run
-from .tune import tune
+from .run import run
 from .warmup import warmup
 
 # in the order of the help page
 app.command("list")(clear_errors(list_))
 for _command in (
-    card,
     calibrate,
     run,
-    render,
-    tune,
     bench,
     protect,
     game,
     limits,
     dataset,
-    tasks,
     report,
     warmup,
 ):

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
+import typer
 from typer import Argument, Option
 
 from . import options as opt
 from .app import print_json, print_lines, print_written
 from .options import SuiteOptions, with_options
-from .suites import (
-    Reports,
-    build_suite,
-    calibrate_suite,
-    make_selection,
-    make_tuning,
-    refuse_decided,
-    standard_suite,
-)
+from .suites import Reports, build_suite, calibrate_suite, make_selection, make_tuning
 
 if TYPE_CHECKING:
+    from ..bench.experiments import Reader
     from ..bench.experiments.campaign import CampaignResults
     from ..bench.experiments.suite import Suite
+    from ..bench.search.amplitude import TuningResult
+
+Verbose = Annotated[
+    bool, Option("--verbose", "-v", help="Print the report with all tables and settings.")
+]
 
 
 @with_options
@@ -32,25 +31,16 @@ def bench(
         str | None,
         Option(
             help="Task, S1 to S3 or T1 to T6 of the first suite, which sets scenario, receiver, "
-            "attack, times and detectors; see `spoofgym tasks`."
-        ),
-    ] = None,
-    suite_name: Annotated[
-        str | None,
-        Option(
-            "--suite",
-            help="Suite by name: `standard` plays twelve detectors in the world of task S1 at 0.2 "
-            "false alarms an hour against four spoofers, in about an hour of processor time; with "
-            "--detector those that are named, such as your own, and the negative controls. It "
-            "decides all but detectors, seeds, sizes and folder.",
+            "attack, times and detectors; see `spoofgym list tasks`."
         ),
     ] = None,
     detector: Annotated[
         list[str] | None,
         Option(
-            help="Detector, may be repeated; `all` for all that suit the victim. Default: "
-            "snapshot-chi2 and ewma, or those that suit the victim, and the negative controls "
-            f"never and lottery. {opt.SPEC_HELP}"
+            help="Detector, may be repeated; `all` for all that suit the victim. Default: the "
+            "twelve of the standard suite, or with options of the world those that suit its "
+            "victim, and the negative controls never and lottery, which in the default world play "
+            f"beside your own, too. {opt.SPEC_HELP}"
         ),
     ] = None,
     spoofer: Annotated[
@@ -59,50 +49,66 @@ def bench(
             help="Spoofer, may be repeated. One setting is fitted to the alarm budget: that which "
             "is `tuned`, as in step:size_m=tuned, the rate of a plain ramp, and else the amplitude "
             "of all that it commands, unless one is given, as in step:amplitude=1. A shipped "
-            "spoofer by its name, a learned one by its .onnx file. Default: none, step, ramp, "
-            "accelerating-ramp, open-loop, and the shipped ones that fit."
+            "spoofer by its name, a learned one by its .onnx file. Default: ramp, "
+            "accelerating-ramp, open-loop and feedback; with options of the world none, step, "
+            "ramp, accelerating-ramp, open-loop, and the shipped ones that fit."
         ),
     ] = None,
-    seeds: Annotated[
-        int,
-        Option(
-            min=2, max=opt.LARGEST_RUNS, help="Evaluation runs of every cell, the same for all."
-        ),
-    ] = 1000,
+    budget: opt.Budget = "standard",
+    runs: opt.Runs = None,
     out: Annotated[Path, Option(help="Folder of the results.")] = Path("results"),
     overwrite: Annotated[
         bool, Option("--overwrite", help="Replace the results of another campaign.")
     ] = False,
+    fit_only: Annotated[
+        bool,
+        Option(
+            "--fit-only",
+            help="Fit spoofers to the alarm budget, print what was tried, and play no more; the "
+            "same command without it goes on from there.",
+        ),
+    ] = False,
     as_json: opt.Json = False,
+    verbose: Verbose = False,
     options: SuiteOptions,
-    budget: opt.Budget = 0.05,
-    training_seeds: opt.Training = 256,
+    alarm_budget: Annotated[
+        float,
+        Option(help="P(alarm | silent without attack) that spoofers are fitted to, see --rule."),
+    ] = 0.05,
+    training_runs: Annotated[
+        int | None,
+        Option(
+            min=2,
+            max=opt.LARGEST_RUNS,
+            help="Training runs for tuned spoofers; they share no noise with the evaluation runs.",
+        ),
+    ] = None,
     rule: Annotated[
         str | None,
         Option(
-            help="How amplitudes are fitted to the budget: exact, on the evaluation runs, with "
-            "intervals that include the fit, or upper-limit, a pass mark, by the upper 95 % limit "
-            "of the alarm rate on the training runs. Default: exact, and upper-limit in a task of "
-            "the first suite."
+            help="How amplitudes are fitted to the alarm budget: exact, on the evaluation runs, "
+            "with intervals that include the fit, or upper-limit, a pass mark, by the upper 95 % "
+            "limit of the alarm rate on the training runs. Default: exact, and upper-limit in a "
+            "task of the first suite."
         ),
     ] = None,
     nominal: Annotated[
         bool,
         Option(
             "--nominal",
-            help="Play thresholds as published and nothing else: no calibration, and no comparison "
-            "of detectors, whose rates of false alarms differ. A task does so anyway.",
+            help="Use the published thresholds without calibration. Detectors are then not "
+            "comparable, because their false-alarm rates differ.",
         ),
     ] = False,
-    selection_seeds: Annotated[
-        int,
+    selection_runs: Annotated[
+        int | None,
         Option(
             min=0,
             max=opt.LARGEST_RUNS,
             help="Runs on which the worst attack of the attack suite is chosen; 0 to leave the "
             "protection out.",
         ),
-    ] = 192,
+    ] = None,
     threads: opt.Threads = None,
     jobs: opt.Jobs = None,
     backend: opt.Backend = "local",
@@ -110,52 +116,74 @@ def bench(
 ) -> None:
     """Play detectors against spoofers on the same runs; interrupted, it goes on when run again.
 
-    All detectors are calibrated to one rate of false alarms, 0.2 an hour unless another one is
-    given, in a world whose sky, heading, onset and turn-on constants of the sensors are drawn for
-    every run, unless --set domain=... says otherwise.
+    Without options of the world it is that of task S1. All detectors are calibrated to one rate of
+    false alarms, 0.2 an hour unless another one is given. Sky, heading, onset and turn-on constants
+    of the sensors are drawn for every run, unless --set domain=... says otherwise.
     """
     from ..bench.experiments.campaign import Campaign
     from ..bench.experiments.evaluate import get_rule
-    from ..bench.experiments.suite import SIZES, SPOOFERS, SUITES
+    from ..bench.experiments.suite import SPOOFERS, get_budget
+    from ..bench.report.campaign import WorstRows
     from ..bench.runs.players import add_tuned_setting
-    from ..core.registry import check_choice
     from ..simulation.engine import processors
 
-    sizes = {"seeds": seeds, "training_seeds": training_seeds, "selection_seeds": selection_seeds}
-    if suite_name is not None:
-        check_choice("suite", suite_name, SUITES)
-        refuse_decided(options, "--suite", opt.SUITE_OPTIONS)
-        sizes = {**SIZES, **{key: sizes[key] for key in options.find_passed(SIZES)}}
-        spoofer = [*SPOOFERS]
-    settings: dict[str, Any] = {
-        "spoofers": list(map(add_tuned_setting, opt.parse_specs(spoofer))) if spoofer else None,
-        "runs": sizes["seeds"],
-        "tuning": make_tuning(sizes["training_seeds"], budget, rule or get_rule(task)),
-        "selection": make_selection(sizes["selection_seeds"]),
-    }
-    if suite_name is not None:
-        settings |= {"entropy": options.seed, "allow_oracles": options.allow_oracles}
-        suite, reports = standard_suite(detector, settings), None
+    size = get_budget(budget, runs=runs, training_runs=training_runs, selection_runs=selection_runs)
+    standard = task is None and not options.find_passed(opt.WORLD_OPTIONS)
+    spoofers = opt.parse_specs(spoofer or (SPOOFERS if standard else ()))
+    suite, reports = build_suite(
+        options,
+        detector,
+        task=task,
+        nominal=nominal,
+        headline=True,
+        standard=standard,
+        spoofers=list(map(add_tuned_setting, spoofers)) or None,
+        runs=size.runs,
+        tuning=make_tuning(
+            size.training_runs,
+            alarm_budget,
+            rule=rule or get_rule(task),
+            generations=size.generations,
+        ),
+        selection=make_selection(size.selection_runs),
+        floor_worlds=size.floor_worlds,
+    )
+    if fit_only and not any(player.tuned for player in suite.spoofer_players):
+        raise ValueError("--fit-only needs a spoofer with a setting that is tuned")
+    campaign = Campaign(calibrate_suite(suite, detector, threads), fit_only)
+    rows = WorstRows(campaign.config)
+
+    def show(cells: Reader) -> None:
+        if not as_json and not fit_only:
+            print_lines(rows.list_new(campaign.results(cells)))
+
+    results = campaign.results(
+        opt.finish_experiment(
+            campaign,
+            out,
+            jobs=jobs or (processors() if standard else 1),
+            backend=backend,
+            shard=shard,
+            threads=threads,
+            overwrite=overwrite,
+            finished=show,
+        )
+    )
+    if fit_only:
+        _print_fits([*results.searches.values()], as_json)
     else:
-        settings |= {"task": task, "nominal": nominal, "headline": True}
-        suite, reports = build_suite(options, detector, **settings)
-    suite = calibrate_suite(suite, detector, threads)
-    campaign = Campaign(suite)
-    at_once = jobs or (processors() if suite_name else 1)
-    if not as_json:
-        print_lines((*(() if task else suite.notes), *suite.captions, *suite.left_out))
-    handed: dict[str, Any] = {"jobs": at_once, "backend": backend, "shard": shard}
-    results = opt.finish_experiment(campaign, out, threads=threads, overwrite=overwrite, **handed)
-    _report(campaign.results(results), as_json, reports, suite)
+        _report(results, as_json, reports, verbose, suite)
 
 
 def report(
     folder: Annotated[Path, Argument(help="Folder of the results.")] = Path("results"),
     as_json: opt.Json = False,
+    verbose: Verbose = False,
 ) -> None:
     """Score the finished cells of a folder again, and write its report."""
     from ..bench.experiments import Store
     from ..bench.experiments.campaign import CampaignResults
+    from ..bench.report.campaign import WorstRows
     from ..bench.report.detector_page import build_scores_page
     from ..bench.report.game_page import build_game_page
     from ..bench.report.page import load_output, load_replay, write_page
@@ -164,7 +192,10 @@ def report(
     store.reopen()
     kind = store.config["experiment"]
     if kind == "campaign":
-        _report(CampaignResults.load(folder), as_json, None)
+        results = CampaignResults.load(folder)
+        if not as_json:
+            print_lines(WorstRows(results.config).list_new(results))
+        _report(results, as_json, None, verbose)
         return
     pages = {"game": build_game_page, "protect": build_scores_page, "audit": build_scores_page}
     if kind not in pages:
@@ -177,12 +208,28 @@ def report(
         print_written(written)
 
 
+def _print_fits(searches: list[TuningResult], as_json: bool) -> None:
+    """Print what was tried for every pair."""
+    from ..bench.report.campaign import print_search
+
+    if as_json:
+        print_json([search.as_dict() for search in searches])
+        return
+    for search in searches:
+        print_search(search.as_dict())
+
+
 def _report(
-    results: CampaignResults, as_json: bool, reports: Reports, suite: Suite | None = None
+    results: CampaignResults,
+    as_json: bool,
+    reports: Reports,
+    verbose: bool,
+    suite: Suite | None = None,
 ) -> None:
-    """Write scores and page, and print the tables. `suite`: plays the worst run again."""
+    """Write scores and page, and print the answer, or all tables. `suite`: plays the worst run
+    again."""
     from ..bench.experiments.campaign import summarize
-    from ..bench.report.campaign import print_campaign
+    from ..bench.report.campaign import print_campaign, state_answer
     from ..bench.report.campaign_page import build_page, replay_worst
     from ..bench.report.page import load_replay, write_page
 
@@ -195,5 +242,8 @@ def _report(
     if as_json:
         print_json({**summary, "folder": str(results.path), "input": reports})
         return
-    print_campaign(summary)
-    print_written(written)
+    if verbose:
+        print_campaign(summary)
+    elif summary["missing"]:
+        typer.echo(f"not finished: {', '.join(summary['missing'])}")
+    typer.echo(f"{state_answer(summary)} Report: {', '.join(map(str, written))}")

@@ -26,7 +26,8 @@ def game(
         ),
     ] = "stealth",
     limit_m: Annotated[float | None, Option(help="Alert limit. Default: that of the task.")] = None,
-    runs: Annotated[int, Option(min=2, max=opt.LARGEST_RUNS, help="Runs of every pair.")] = 200,
+    budget: opt.Budget = "standard",
+    runs: opt.Runs = None,
     oracles: Annotated[
         bool, Option(help="Compare spoofers that observe the detector's statistics with others.")
     ] = False,
@@ -42,9 +43,11 @@ def game(
 ) -> None:
     """Solve the game of spoofers against detectors: payoffs on paired runs, mixes of both sides."""
     from ..bench.experiments.game import Game
+    from ..bench.experiments.suite import get_budget
     from ..bench.report.game_page import build_game_page, print_game
     from ..bench.report.page import write_page
 
+    runs = get_budget(budget, runs=runs).runs
     pairs = Game(task, payoff=payoff, limit_m=limit_m, runs=runs, entropy=seed).pairs(
         opt.parse_specs(spoofer), opt.parse_specs(detector), oracles=oracles
     )

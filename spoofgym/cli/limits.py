@@ -23,7 +23,7 @@ def limits(
         str | None,
         Option(
             help="Task, S1 to S3 or T1 to T6 of the first suite, which sets scenario, receiver, "
-            "attack, times and detectors; see `spoofgym tasks`."
+            "attack, times and detectors; see `spoofgym list tasks`."
         ),
     ] = None,
     detector: Annotated[
@@ -61,7 +61,7 @@ def limits(
     ] = None,
     as_json: opt.Json = False,
     options: SuiteOptions,
-    budget: Annotated[
+    alarm_budget: Annotated[
         float, Option(help="Alarm budget of a stealthy attack, on top of the false alarms.")
     ] = 0.05,
     nominal: Annotated[
@@ -99,7 +99,7 @@ def limits(
         nominal=nominal,
         headline=True,
         spoofers=opt.parse_specs([spoofer] if spoofer else []),
-        tuning=make_tuning(opt.LARGEST_RUNS, budget),
+        tuning=make_tuning(opt.LARGEST_RUNS, alarm_budget),
     )
     setup = check_linear_victim(suite.world.setup)
     report.per_run(rate, setup)
@@ -118,12 +118,12 @@ def limits(
             tick=lambda part: bar.advance(part, "floor"),
         )
     record = report.build_limit_record(
-        setup, frontier, false_alarms_per_hour=rate, budget=budget, seed=options.seed
+        setup, frontier, false_alarms_per_hour=rate, budget=alarm_budget, seed=options.seed
     )
     if spoofer:
         player = suite.spoofer_players[-1]
         record["divergence"] = report.divergence_record(
-            setup, frontier, player, record["p_fa"], budget
+            setup, frontier, player, record["p_fa"], alarm_budget
         )
     if detector or task:
         suite = calibrate_suite(suite, detector, threads)

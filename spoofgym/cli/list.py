@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import difflib
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
 
 from typer import Argument
 
@@ -11,62 +15,82 @@ from .app import print_json
 
 
 def list_(
-    kind: Annotated[
-        str | None,
-        Argument(help="envs, scenarios, attacks, detectors, spoofers or shipped; all of them."),
-    ] = None,
     name: Annotated[
         str | None,
-        Argument(help="An attack, detector or spoofer, whose settings are listed: what is valid."),
+        Argument(
+            help="Kind: envs, scenarios, attacks, detectors, spoofers, shipped or tasks. Or one of "
+            "them: an attack, detector or spoofer, whose settings are listed, and what is valid; "
+            "an environment or scenario; a task and its scores; a shipped policy, or an .onnx or "
+            ".json file, with what it fits and how it was made. Default: all kinds but tasks."
+        ),
     ] = None,
     as_json: opt.Json = False,
 ) -> None:
-    """List what there is: environments, scenarios, attacks, detectors, spoofers, shipped ones."""
-    from ..bench.report.catalogue import KINDS, SETTINGS, list_settings, select_table
-    from ..core.registry import check_choice
-
-    if kind is not None:
-        check_choice("kind", kind, KINDS)
-    if kind and name:
-        rows = list_settings(kind, name)
-        if as_json:
-            print_json(rows)
-        else:
-            SETTINGS.print(name, rows)
-        return
-    found = {each: rows() for each, rows in KINDS.items() if kind in {None, each}}
+    """List what there is, or show one thing by its name: its settings, scores, how it was made."""
+    value, show = _list_kinds() if name is None else _find(name)
     if as_json:
-        print_json(found)
-        return
-    for each, rows in found.items():
-        select_table(each).print(each, rows)
+        print_json(value)
+    else:
+        show()
 
 
-def card(
-    name: Annotated[
-        str, Argument(help="A shipped spoofer or detector, or a card or an ONNX file that has one.")
-    ],
-    as_json: opt.Json = False,
-) -> None:
-    """Show the card of a spoofer or of a learned detector: what it fits, and how it was made."""
+Found = tuple[Any, Callable[[], None]]
+"""What is found, JSON-able, and what prints it."""
+
+
+def _list_kinds(name: str | None = None) -> Found:
+    """Everything of a kind, or of all."""
+    from ..bench.report.catalogue import KINDS, select_table
+
+    found = {each: rows() for each, rows in KINDS.items() if name in {None, each}}
+
+    def show() -> None:
+        for each, rows in found.items():
+            select_table(each).print(each, rows)
+
+    return found, show
+
+
+def _find(name: str) -> Found:
+    """A kind, or one thing of any kind."""
+    from ..bench.report import tasks
+    from ..bench.report.catalogue import CLASSES, KINDS, SETTINGS, list_settings
+    from ..bench.report.table import FIELDS
+
+    if name in KINDS:
+        return _list_kinds(name)
+    every = {row["key"]: row for row in tasks.list_tasks()}
+    if name == "tasks":
+        return [*every.values()], tasks.print_tasks
+    if name in every:
+        return every[name], partial(tasks.print_tasks, [name])
+    for kind in CLASSES:
+        if name in CLASSES[kind]:
+            rows = list_settings(kind, name)
+            return rows, partial(SETTINGS.print, name, rows)
+    named = {row["name"]: row for kind in ("envs", "scenarios") for row in KINDS[kind]()}
+    if name in named:
+        title = f"{name}: {named[name]['summary']}"
+        return named[name], partial(FIELDS.print, title, named[name]["settings"].items())
+    classes = (key for each in CLASSES.values() for key in each)
+    return _find_card(name, [*KINDS, "tasks", *every, *classes, *named])
+
+
+def _find_card(name: str, others: Sequence[str]) -> Found:
+    """The card of a policy by its name or file; `others`: what else a name could have been."""
     from ..bench.report.cards import SCORES, card_rows, find_card
     from ..bench.report.table import FIELDS
-    from ..policies import SpooferCard
+    from ..policies import SpooferCard, list_shipped
 
+    if not Path(name).suffix and name not in (shipped := list_shipped()):
+        near = difflib.get_close_matches(name, [*others, *shipped])
+        meant = f"; did you mean {' or '.join(near)}?" if near else ""
+        raise ValueError(f"there is no {name!r}; `spoofgym list` shows all names{meant}")
     found = find_card(name)
-    if as_json:
-        print_json(found.model_dump(mode="json"))
-        return
-    FIELDS.print(found.name, card_rows(found))
-    if isinstance(found, SpooferCard) and found.scores:
-        SCORES.print("scores", found.scores)
 
+    def show() -> None:
+        FIELDS.print(found.name, card_rows(found))
+        if isinstance(found, SpooferCard) and found.scores:
+            SCORES.print("scores", found.scores)
 
-def tasks(as_json: opt.Json = False) -> None:
-    """List the tasks of both suites, with their brackets and the scores that are known."""
-    from ..bench.report import tasks as stored
-
-    if as_json:
-        print_json(stored.list_tasks())
-    else:
-        stored.print_tasks()
+    return found.model_dump(mode="json"), show

@@ -50,8 +50,8 @@ Jobs = Annotated[
     int | None,
     Option(
         min=1,
-        help="Processes of this machine that compute at a time. Default: 1; of a suite by its "
-        "name, the processors.",
+        help="Processes of this machine that compute at a time. Default: 1; in the default world, "
+        "the processors.",
     ),
 ]
 Processes = Annotated[
@@ -72,19 +72,15 @@ Shard = Annotated[
     ),
 ]
 Budget = Annotated[
-    float,
+    str,
     Option(
-        help="Alarm budget of tuned spoofers: largest P(alarm | silent without attack), which its "
-        "upper 95 % limit on the training runs keeps."
+        help="How much is played: quick, standard or full. It scales tuning, searches and runs "
+        "that are scored; options for one of them come before it."
     ),
 ]
-Training = Annotated[
-    int,
-    Option(
-        min=2,
-        max=LARGEST_RUNS,
-        help="Training runs for tuned spoofers; they share no noise with the evaluation runs.",
-    ),
+Runs = Annotated[
+    int | None,
+    Option(min=2, max=LARGEST_RUNS, help="Evaluation runs, the same for all. Default: --budget's."),
 ]
 Rate = Annotated[
     float | None,
@@ -122,6 +118,7 @@ def finish_experiment(
     shard: str | None,
     threads: int | None,
     overwrite: bool = False,
+    finished: Callable[[Reader], None] = lambda _: None,
 ) -> Reader:
     """Compute what a folder lacks; a shard that leaves cells to others ends the command here."""
     from ..bench.experiments import Interrupted, MemoryStore, Store, parse_shard, run_experiment
@@ -137,6 +134,7 @@ def finish_experiment(
             threads=threads,
             shard=None if shard is None else parse_shard(shard),
             progress=progress,
+            finished=finished,
             overwrite=overwrite,
         )
     except Interrupted:
@@ -244,8 +242,6 @@ SCENARIO_OPTIONS = WORLD_OPTIONS - {"context", "env", "settings", *TIMES}
 """Options of the tightly coupled receiver alone."""
 TASK_OPTIONS = {*WORLD_OPTIONS, "detector", "false_alarms_per_hour"}
 """Options that a task decides."""
-SUITE_OPTIONS = {*TASK_OPTIONS, "task", "spoofer", "budget", "nominal"} - {"detector"}
-"""Options that a suite by name decides."""
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from typer import Option
 
 from . import options as opt
@@ -32,26 +31,42 @@ class RunOptions(SuiteOptions):
 @with_options
 def run(
     *,
-    out: Annotated[Path, Option(help="File of the picture; .png without an ending.")] = Path(
-        "episode.png"
-    ),
+    out: Annotated[
+        Path,
+        Option(
+            help="File of the picture, .png without an ending; an animation by .gif, .webp, or "
+            ".mp4, which needs FFmpeg."
+        ),
+    ] = Path("episode.png"),
     picture: Annotated[bool, Option(help="Draw the picture.")] = True,
+    fps: Annotated[
+        float,
+        Option(help="Frames of an animation a second; 2 is real time with epochs of 0.5 s."),
+    ] = 25.0,
+    every: Annotated[int, Option(min=1, help="A frame for every so many epochs.")] = 1,
     as_json: opt.Json = False,
     options: RunOptions,
 ) -> None:
-    """Play one run of the benchmark and its clean twin: a summary, and a picture."""
+    """Play one run of the benchmark and its clean twin: a summary, and a picture or animation."""
     from ..bench.report.table import FIELDS
     from ..bench.runs.episode import draw_episode, play_episode
     from ..core.plots import check_picture
+    from ..envs.rendering.animation import WRITERS, animation_writer
 
+    animated = out.suffix.lower() in WRITERS
     if picture:
-        check_picture(out)
+        check_picture(out, WRITERS)
+        if animated:
+            animation_writer(out, fps)
     suite, judge, player, reports = _suite(options)
     if not as_json:
         print_lines((*suite.notes, *suite.captions))
     episode = play_episode(suite.world, judge, player, options.number, options.seed)
     summary = episode.summary()
-    if picture:
+    if picture and animated:
+        _animate(suite, judge, player, options, out, fps, every)
+        summary["picture"] = str(out)
+    elif picture:
         summary["picture"] = str(draw_episode(episode, out))
     if as_json:
         print_json({**summary, "input": reports})
@@ -59,25 +74,19 @@ def run(
     FIELDS.print(f"{player.label} against {judge.label}", summary.items())
 
 
-@with_options
-def render(
-    *,
-    out: Annotated[Path, Option(help="File of the animation, .gif or .mp4 (needs FFmpeg).")] = Path(
-        "run.gif"
-    ),
-    fps: Annotated[
-        float, Option(help="Frames a second; 2 is real time with epochs of 0.5 s.")
-    ] = 25.0,
-    every: Annotated[int, Option(min=1, help="A frame for every so many epochs.")] = 1,
+def _animate(
+    suite: Suite,
+    judge: PlayerSpec,
+    player: PlayerSpec,
     options: RunOptions,
+    out: Path,
+    fps: float,
+    every: int,
 ) -> None:
-    """Draw one run of the benchmark as an animation: flight, satellites, statistic, error."""
+    """Write the run as an animation: flight, satellites, statistic, error."""
     from ..bench.report.figures import frame_count, play_frames
-    from ..envs.rendering.animation import animation_writer, save_animation
+    from ..envs.rendering.animation import save_animation
 
-    animation_writer(out, fps)
-    suite, judge, player, _ = _suite(options)
-    print_lines((*suite.notes, *suite.captions))
     with progress(frame_count(suite, judge, every)) as bar:
 
         def frames() -> Iterator[Any]:
@@ -86,7 +95,6 @@ def render(
                 bar.advance(1.0, "drawing")
 
         save_animation(frames(), out, fps)
-    typer.echo(f"written: {out}")
 
 
 def _suite(options: RunOptions) -> tuple[Suite, PlayerSpec, PlayerSpec, Reports]:
@@ -98,6 +106,7 @@ def _suite(options: RunOptions) -> tuple[Suite, PlayerSpec, PlayerSpec, Reports]
     player = suite.spoofer_players[-1]
     if player.tuned:
         raise ValueError(
-            f"`{player.tuned}` = tuned needs a search: take the value that `spoofgym tune` finds"
+            f"`{player.tuned}` = tuned needs a search: take the value that `spoofgym bench "
+            "--fit-only` finds"
         )
     return suite, suite.detector_players[-1], player, reports

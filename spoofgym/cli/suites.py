@@ -50,15 +50,17 @@ def build_suite(
     task: str | None = None,
     nominal: bool = False,
     headline: bool = False,
+    standard: bool = False,
     **settings: Any,
 ) -> tuple[Suite, Reports]:
     """The suite of the options or of a task, and the reports of real input; nothing is looked up.
 
     `nominal`: whether detectors that request no thresholds have them as published; `headline`:
     whether they have one rate of false alarms, and controls, unless a task or an option decides
-    otherwise; `settings`: those of a suite that no task decides.
+    otherwise; `standard`: whether it is the standard suite, whose controls play with detectors that
+    are named, too; `settings`: those of a suite that no task decides.
     """
-    from ..bench.experiments.suite import Suite
+    from ..bench.experiments.suite import Suite, standard_kwargs
     from ..detectors.calibrated import STANDARD_RATE
     from ..tasks import get_task
 
@@ -76,8 +78,8 @@ def build_suite(
     thresholds: dict[str, Any] = {} if rate is None else {"false_alarms_per_hour": rate}
     if nominal:
         thresholds = {"thresholds": "nominal"}
-    decided, reports = _victim(options)
-    specs = _detectors(decided, detectors, thresholds, headline)
+    decided, reports = (standard_kwargs(), None) if standard else _victim(options)
+    specs = _detectors(decided, detectors, thresholds, headline, standard)
     return Suite(**decided, detectors=specs, **settings), reports
 
 
@@ -86,18 +88,22 @@ def _detectors(
     texts: Sequence[str] | None,
     thresholds: Spec,
     headline: bool,
+    standard: bool,
 ) -> list[dict[str, Any]] | None:
     """Detectors with the thresholds that are requested; of a headline the usual ones and the
     controls by default, and `all` for all, tests with a drift term a second time, rescaled."""
-    from ..bench.experiments.suite import list_world_detectors
+    from ..bench.experiments.suite import list_standard_detectors, list_world_detectors
     from ..bench.runs.world import CONTROLS, World
     from ..detectors.build import asks
 
-    world = World.of(**{name: x for name, x in decided.items() if name != "notes"})
-    usual, specs = world.default_detectors, parse_specs(texts) if texts else None
-    if headline and specs is None:
-        specs = [*CONTROLS, *usual]
-    elif headline and any(spec["name"] == "all" for spec in specs or ()):
+    own = {name: x for name, x in decided.items() if name not in ("notes", "alert_limit_m")}
+    world, specs = World.of(**own), parse_specs(texts) if texts else None
+    usual = list_standard_detectors() if standard else world.default_detectors
+    if standard or (headline and specs is None):
+        specs = list(usual) if specs is None else specs
+        names = {spec["name"] for spec in specs}
+        specs = [*(spec for spec in CONTROLS if not names & {spec["name"], "all"}), *specs]
+    if headline and any(spec["name"] == "all" for spec in specs or ()):
         named = [spec for spec in specs or () if spec["name"] != "all"]
         names = {spec["name"] for spec in named}
         found = list_world_detectors(world.setup, "false_alarms_per_hour" in thresholds)
@@ -108,21 +114,6 @@ def _detectors(
         spec if asks(spec) and spec.get("thresholds") != "rescaled" else {**thresholds, **spec}
         for spec in (usual if specs is None else specs)
     ]
-
-
-def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) -> Suite:
-    """The standard suite, with its detectors, or with those that are given and the controls."""
-    from ..bench.experiments.suite import RATE, Suite, list_standard_detectors, standard_kwargs
-    from ..bench.runs.world import CONTROLS
-
-    if detectors is None:
-        chosen = list_standard_detectors()
-    else:
-        given = parse_specs(detectors)
-        names = {spec["name"] for spec in given}
-        chosen = [*(dict(spec) for spec in CONTROLS if spec["name"] not in names), *given]
-    specs = [{"false_alarms_per_hour": RATE, **spec} for spec in chosen]
-    return Suite(**standard_kwargs(), detectors=specs, **settings)
 
 
 def refuse_decided(options: WorldOptions, decider: str, names: Collection[str]) -> None:
@@ -150,15 +141,15 @@ def calibrate_suite(suite: Suite, detectors: Sequence[str] | None, threads: int 
     return suite
 
 
-def make_tuning(runs: int, budget: float, rule: str = "upper-limit") -> Tuning:
+def make_tuning(runs: int, budget: float, **settings: Any) -> Tuning:
     """A search on so many training runs, of which a sixteenth sifts."""
     from ..bench.search.amplitude import Tuning
 
     try:
-        return Tuning(runs=runs, sift_runs=max(runs // 16, 1), budget=budget, rule=rule)
+        return Tuning(runs=runs, sift_runs=max(runs // 16, 1), budget=budget, **settings)
     except ValueError as error:  # it knows its fields, not the options
-        text = str(error).replace("`runs`", "--training-seeds")
-        raise ValueError(text.replace("`budget`", "--budget")) from error
+        text = str(error).replace("`runs`", "--training-runs")
+        raise ValueError(text.replace("`budget`", "--alarm-budget")) from error
 
 
 def make_selection(runs: int) -> Selection | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -38,10 +39,12 @@ def figure_class() -> type[Figure]:
     return Figure
 
 
-def check_picture(path: Path) -> Path:
+def check_picture(path: Path, others: Iterable[str] = ()) -> Path:
+    """Path with an ending; a ValueError for one that no figure has, nor `others`."""
     path = path if path.suffix else path.with_suffix(".png")
     formats = figure_class()().canvas.get_supported_filetypes()
-    check_choice("ending of a picture", path.suffix.lower(), [f".{each}" for each in formats])
+    endings = [*(f".{each}" for each in formats), *others]
+    check_choice("ending of a picture", path.suffix.lower(), endings)
     return path
 
 

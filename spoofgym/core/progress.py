@@ -13,6 +13,7 @@ from typing import Protocol
 from . import threads as _threads
 
 REFRESH_S = 0.1  # how often the time in a bar is drawn
+NAME = 64  # letters of what is going on that a line shows
 PART_S, LINE_S = 10.0, 60.0
 """Least times between lines where there is no terminal, before another part and within one."""
 
@@ -81,7 +82,8 @@ class _Lines:
             part = min(self._done / self._total, 1.0)
             left = passed * (1.0 - part) / part
             times = f"{passed:.0f} s, some {left:.0f} s left"
-            print(f"{description}: {100.0 * part:.0f} %, {times}", file=sys.stderr, flush=True)
+            label = description if len(description) <= NAME else f"{description[: NAME - 4]} ..."
+            print(f"{label}: {100.0 * part:.0f} %, {times}", file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -105,6 +107,7 @@ def show_progress(
         bars.TimeRemainingColumn(),
         console=Console(stderr=True),
         transient=True,
+        redirect_stdout=sys.stdout.isatty(),  # what is printed meanwhile stays on stdout
         auto_refresh=False,  # its thread is one that nothing waits for
     )
     task = shown.add_task(start, total=max(total, 1e-9))

@@ -26,8 +26,8 @@ from spoofgym.detectors import SnapshotChi2, calibrated
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
-TIMES = "--warmup-s 20 --live-s 10 --attack-s 15 --time-to-alert-s 2 --seeds 2"
-CLEAN = f"bench {TIMES} --selection-seeds 0 --spoofer none --set domain={{}}"
+TIMES = "--warmup-s 20 --live-s 10 --attack-s 15 --time-to-alert-s 2 --runs 2"
+CLEAN = f"bench {TIMES} --selection-runs 0 --spoofer none --set domain={{}}"
 
 
 @dataclass

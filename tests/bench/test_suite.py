@@ -1,7 +1,9 @@
 """What a campaign runs, where, and where its chance comes from; the standard suite."""
 
+import json
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,12 +11,12 @@ from typer.testing import CliRunner
 
 from spoofgym.bench.experiments import suite as standard
 from spoofgym.bench.experiments.suite import Suite
-from spoofgym.bench.runs.players import DEFAULT_DETECTORS, add_tuned_setting
+from spoofgym.bench.report.campaign import shorten_label
+from spoofgym.bench.runs.players import DEFAULT_DETECTORS
 from spoofgym.bench.runs.world import PLAIN_ID, World
 from spoofgym.bench.search.amplitude import Tuning
 from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.cli import app
-from spoofgym.cli.suites import standard_suite
 from spoofgym.core.settings import compute_digest
 from spoofgym.detectors import DETECTORS, Shewhart
 from spoofgym.simulation.setup import SPLITS, seed_sequences
@@ -131,9 +133,21 @@ class Mine(Shewhart):
     """Somebody's own detector."""
 
 
-def test_the_suite_plays_in_the_world_of_the_task_at_one_rate_and_the_controls_with_it():
-    tuned = [add_tuned_setting(name) for name in standard.SPOOFERS]
-    suite, task = standard_suite(None, {"spoofers": tuned}), get_task(DEFAULT_TASK)
+def played(monkeypatch, *options):
+    """The suite that a command line would play."""
+    found = []
+
+    def stop(suite, *_):
+        found.append(suite)
+        raise SystemExit
+
+    monkeypatch.setattr(import_module("spoofgym.cli.bench"), "calibrate_suite", stop)
+    CliRunner().invoke(app, ["bench", *options])
+    return found[0]
+
+
+def test_bench_plays_in_the_world_of_the_task_at_one_rate_and_the_controls_with_it(monkeypatch):
+    suite, task = played(monkeypatch), get_task(DEFAULT_TASK)
     assert {name: suite.world.settings[name] for name in task.world_kwargs} == task.world_kwargs
     assert suite.alert_limit_m == (task.alert_limit_m or Suite.alert_limit_m)
     specs = [entry.spec for entry in suite.detector_players]
@@ -145,26 +159,33 @@ def test_the_suite_plays_in_the_world_of_the_task_at_one_rate_and_the_controls_w
     assert [spec["name"] for spec in rates] == list(standard.RATE_TESTS)
     assert names[8:] == list(standard.TESTS)
     assert {spec.get("false_alarms_per_hour") for spec in specs[1:]} == {standard.RATE}
-    played = suite.spoofer_players[1:]
-    labels = [entry.spec.get("label") or entry.spec["name"] for entry in played]
+    labels = [e.spec.get("label") or e.spec["name"] for e in suite.spoofer_players[1:]]
     assert labels == list(standard.SPOOFERS)
-    assert all(entry.tuned for entry in played)
+    assert all(entry.tuned for entry in suite.spoofer_players[1:])
+    # the campaign of the stored headlines
+    stored = json.loads((Path(standard.__file__).parents[3] / "docs/headlines.json").read_text())
+    names = [row["detector"] for row in stored["worlds"][DEFAULT_TASK]["detectors"]]
+    assert [shorten_label(entry.label) for entry in suite.detector_players] == names
     # named ones play with the controls
     named = ["ewma", "tests.bench.test_suite:Mine"]
-    specs = [each.spec for each in standard_suite(named, {"spoofers": []}).detector_players]
+    suite = played(monkeypatch, *(word for name in named for word in ("--detector", name)))
+    specs = [entry.spec for entry in suite.detector_players]
     assert [spec["name"] for spec in specs] == ["never", "lottery", *named]
     assert {spec.get("false_alarms_per_hour") for spec in specs[1:]} == {standard.RATE}
 
 
-def test_its_sizes_are_defaults_and_may_be_given(monkeypatch):
-    asked = []
+def test_a_budget_scales_everything_and_sizes_come_before_it(monkeypatch):
+    def sizes(*options):
+        suite = played(monkeypatch, *options)
+        tuning, selection = suite.tuning, suite.selection
+        chosen = selection and selection.runs
+        return suite.runs, tuning.runs, chosen, tuning.generations, suite.floor_worlds
 
-    def seen(detectors, settings):
-        asked.append((settings["runs"], settings["tuning"].runs, settings["selection"].runs))
-        raise SystemExit  # it would play
-
-    monkeypatch.setattr(import_module("spoofgym.cli.bench"), "standard_suite", seen)
-    for options in ([], ["--seeds", "40", "--selection-seeds", "20"]):
-        CliRunner().invoke(app, ["bench", "--suite", "standard", *options])
-    sizes = [standard.SIZES[f"{split}seeds"] for split in ("", "training_", "selection_")]
-    assert asked == [tuple(sizes), (40, sizes[1], 20)]
+    assert sizes() == standard.BUDGETS["standard"]
+    assert sizes("--budget", "quick") == standard.BUDGETS["quick"]
+    assert all(np.diff([each[:4] for each in standard.BUDGETS.values()], axis=0).ravel() >= 0)
+    given = ["--runs", "40", "--selection-runs", "0", "--training-runs", "60"]
+    assert sizes("--budget", "full", *given) == (40, 60, None, 60, None)
+    other = played(monkeypatch, "--budget", "quick", "--set", "domain={}").tuning.as_dict()
+    assert other["generations"] == standard.BUDGETS["quick"].generations
+    assert "generations" not in played(monkeypatch).tuning.as_dict()  # as it was before budgets

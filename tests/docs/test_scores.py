@@ -5,6 +5,7 @@ import json
 import pytest
 
 from spoofgym.bench.experiments.suite import SPOOFERS as STANDARD
+from spoofgym.bench.report.campaign import WIDTHS, WORST, state_answer
 from spoofgym.core.settings import compute_digest
 from tools.headlines import DATA_FILE, END, START, WORLD, shown
 from tools.pages import part_between
@@ -22,6 +23,21 @@ def kept():
 def test_the_table_is_that_of_the_file(kept):
     assert part_between(text_of(PAGE), START, END) == f"\n{shown(kept)}"
     assert kept["digest"] == compute_digest(kept["worlds"])
+
+
+def test_the_terminal_shows_a_row_for_each_detector_within_100_columns_and_the_answer(kept):
+    world = kept["worlds"][WORLD]
+    rows = [{"detector": row["detector"], "protection": row} for row in world["protection"]]
+    lines = [line for row in (None, *rows) for line in WORST.lines(row, WIDTHS)]
+    assert len(lines) <= 2 * len(rows)
+    assert max(map(len, lines)) <= 100
+    assert " ".join(lines[0].split()) == "detector in 50 % of runs [m] in 5 % [m] worst attack"
+    best = "solution-separation(filter=augmented,spacing=geometric): 31.6 ("
+    answer = state_answer(world)
+    assert answer.startswith(f"Tightest of {len(rows) - 2}: {best}")
+    assert answer.endswith("/h (asked 0.2).")
+    none = {**world, "protection": []}  # without the attack suite
+    assert "undetected in the mean at 5 % of alarms (worst: " in state_answer(none)
 
 
 def test_every_detector_has_the_same_rate_and_its_attacks(kept):

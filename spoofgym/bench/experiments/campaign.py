@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
+from itertools import groupby, product
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -96,6 +96,13 @@ class CampaignResults:
         found = self._get(SEARCH, detector, spoofer)
         return None if found is None else TuningResult.from_dict(found.record, found.arrays)
 
+    @property
+    def searches(self) -> dict[tuple[str, str], TuningResult]:
+        """What was found so far, by detector and spoofer."""
+        players = (self.config[side] for side in ("detectors", "spoofers"))
+        pairs = product(*([entry["label"] for entry in each] for each in players))
+        return {pair: search for pair in pairs if (search := self.search(*pair)) is not None}
+
     def protection(self, detector: str) -> Protection | None:
         """What the worst attacks of the suite did against a detector."""
         found = self._get(PROTECTION, detector)
@@ -131,7 +138,7 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
     limits = sorted({*config["alert_limits_m"], config["alert_limit_m"]})
     points = {label: operating_point(config, label) for label in detectors}
     budget = float(config["tuning"]["budget"])
-    searches = {pair: search for pair in pairs if (search := results.search(*pair)) is not None}
+    searches = results.searches
     scores = [
         with_exact_score(score_runs(found, limits, budget), searches.get(pair))
         for pair, found in records.items()
@@ -238,11 +245,13 @@ def run_campaign(
 
 @dataclass(frozen=True)
 class Campaign(Experiment):
-    """What every detector and spoofer of a suite do, and what limits them."""
+    """What every detector and spoofer of a suite do, and what limits them; `fit_only`: spoofers are
+    fitted, and nothing else is played."""
 
     name: ClassVar[str] = "campaign"
     outputs: ClassVar[tuple[str, ...]] = OUTPUTS
     suite: Suite
+    fit_only: bool = False
 
     @property
     def config(self) -> dict[str, Any]:
@@ -287,7 +296,8 @@ class Campaign(Experiment):
         return found
 
     def cells(self) -> Iterator[Cell]:
-        return (part.cell for part in self.parts.values())
+        kinds = (SEARCH,) if self.fit_only else (FLOOR, SEARCH, RUNS, PROTECTION, BOUND)
+        return (part.cell for part in self.parts.values() if part.kind in kinds)
 
     def _work(self, kind: str, spoofer: PlayerSpec | None) -> float:
         suite = self.suite

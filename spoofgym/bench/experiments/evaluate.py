@@ -187,7 +187,7 @@ def evaluate(
     """Score a spoofer by the rule of the benchmark, on runs that the call decides nothing on.
 
     A policy that is shipped, or another one in a file, may have been chosen with these very runs in
-    view; its card says so (``decided_on``, `spoofgym card`).  Then take another `entropy`.
+    view; its card says so (``decided_on``, `spoofgym list`).  Then take another `entropy`.
 
     The score is the stealthy displacement: the mean undetected displacement over the runs that are
     silent before the onset and without an attack, of which at most 5 % may alarm.  The amplitude of

@@ -105,13 +105,15 @@ def run_experiment(
     threads: int | None = None,
     shard: tuple[int, int] | None = None,
     progress: ProgressBar | None = None,
+    finished: Callable[[Reader], None] = lambda _: None,
     overwrite: bool = False,
 ) -> Reader:
     """Compute the cells that are not finished; results of all cells, other shards' too.
 
     `jobs`: processes of this machine, 1 computes here; `backend`: "local", "dask" or "ray", with
     ":address" on a cluster that runs already; `threads`: of the engine in each process; `shard`:
-    (i, n), the i-th of n parts from 1 on; `progress`: opens a bar, such as `show_progress`.
+    (i, n), the i-th of n parts from 1 on; `progress`: opens a bar, such as `show_progress`;
+    `finished`: is called with what is finished, first and whenever more is.
     """
     jobs = whole_number("`jobs`", jobs, 1)
     kind = backend.partition(":")[0]
@@ -125,10 +127,12 @@ def run_experiment(
     results = Reader(store, cells)
     with (progress or no_progress)(plan.remaining) as bar, ExitStack() as stack:
         try:
+            finished(results)
             if plan.count:
                 most = min(jobs, plan.count)
                 workers = _workers(experiment, store, backend, most, threads)
-                _run_all(plan, stack.enter_context(workers), store, bar)
+                for _ in _run_all(plan, stack.enter_context(workers), store, bar):
+                    finished(results)
         except KeyboardInterrupt as error:
             stack.close()  # workers end before anything is said
             left = f"{len(cells) - len(results.missing)} of {len(cells)} cells are finished"
@@ -263,7 +267,8 @@ class _Workers(NamedTuple):
 Send = Callable[[_Task], None]  # computes a task, and can be pickled
 
 
-def _run_all(plan: _Plan, workers: _Workers, store: Store, bar: ProgressCallback) -> None:
+def _run_all(plan: _Plan, workers: _Workers, store: Store, bar: ProgressCallback) -> Iterator[None]:
+    """Run all tasks; yields after each."""
     running: dict[Future[None], tuple[str, _Task, RemainingWork]] = {}
     while True:
         while len(running) < workers.slots() and (found := plan.next()):
@@ -285,6 +290,7 @@ def _run_all(plan: _Plan, workers: _Workers, store: Store, bar: ProgressCallback
             name, _, left = running.pop(future)
             left.end()
             plan.done(name)
+            yield
 
 
 def _compute(experiment: Experiment, store: Store, context: Context, task: _Task) -> None:

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import PurePath
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from ... import __version__
 from ...attacks import Attack
 from ...calibration.thresholds import suitable_detectors
 from ...core.declared import setting, settings_record
+from ...core.registry import check_choice
 from ...core.settings import compute_digest, outside_sources
 from ...detectors import Detector, OperatingPoint
 from ...detectors.build import spec_of_judge
@@ -38,7 +39,7 @@ from ..runs.players import (
     specify_spoofer,
 )
 from ..runs.world import CONTROLS, WORLD, World
-from ..search.amplitude import EXACT, Tuning
+from ..search.amplitude import EXACT, GENERATIONS, Tuning
 from ..search.attack_suite import (
     NAME,
     VERSION,
@@ -129,6 +130,9 @@ class Suite:
         help="Search for the worst attack of the attack suite, by which detectors are protected; "
         "None for none.",
     )
+    floor_worlds: int | None = setting(
+        default=None, least=1, help="Worlds of the floor; by default one under every sky."
+    )
 
     def __post_init__(self) -> None:
         _ = self.world  # which raises where a setting is not one of the victim's
@@ -204,7 +208,12 @@ class Suite:
         """Floor and zero-alarm bounds; `settings`: ``worlds`` of `Brackets`."""
         budget = self.tuning.budget
         return DisplacementBounds(
-            self.world, self.detector_players, self.entropy, budget, **settings
+            self.world,
+            self.detector_players,
+            self.entropy,
+            budget,
+            floor_worlds=self.floor_worlds,
+            **settings,
         )
 
     def optima(self, threads: int | None = None) -> Optima:
@@ -264,6 +273,7 @@ class Suite:
             "attack_suite": self._attack_suite(),
             "alert_limit_m": float(self.alert_limit_m),
             "alert_limits_m": list(ALERT_LIMITS_M),
+            **({} if self.floor_worlds is None else {"floor_worlds": self.floor_worlds}),
             "notes": [
                 *self.notes,
                 *self.captions,
@@ -306,9 +316,6 @@ def _without_folders(value: Any) -> Any:
     return PurePath(value).name if isinstance(value, str) and value.endswith(SUFFIX) else value
 
 
-STANDARD = "standard"
-SUITES = (STANDARD,)
-"""Names of `spoofgym bench --suite`."""
 RATE = STANDARD_RATE
 """False alarms an hour of all detectors."""
 SPOOFERS = ("ramp", "accelerating-ramp", "open-loop", "feedback")
@@ -316,8 +323,30 @@ SPOOFERS = ("ramp", "accelerating-ramp", "open-loop", "feedback")
 RATE_TESTS = ("aime", "cumulative-bank", "sequential-chi2", "shewhart")
 TESTS = ("ewma", "joint-chart", "snapshot-chi2", "raim")
 """Detectors of the standard suite, by range rates and by ranges."""
-SIZES = {"seeds": 256, "training_seeds": 256, "selection_seeds": 48}
-"""Evaluation, training and selection runs, where no others are given."""
+
+
+class Budget(NamedTuple):
+    """How much is played: runs that are scored, that tune, and that choose the worst attack (0 for
+    none), generations of searches, and worlds of the floor (None for one under every sky)."""
+
+    runs: int
+    training_runs: int
+    selection_runs: int
+    generations: int = GENERATIONS
+    floor_worlds: int | None = None
+
+
+BUDGETS = {
+    "quick": Budget(96, 64, 24, 8, 4),
+    "standard": Budget(256, 256, 48),
+    "full": Budget(1000, 256, 192),
+}
+
+
+def get_budget(name: str, **sizes: int | None) -> Budget:
+    """Budget by its name, with sizes that are not None in place of its own."""
+    check_choice("budget", name, BUDGETS)
+    return BUDGETS[name]._replace(**{key: x for key, x in sizes.items() if x is not None})
 
 
 def list_world_detectors(setup: Setup, rescaled: bool = False) -> list[dict[str, Any]]:
@@ -358,5 +387,5 @@ def standard_kwargs() -> dict[str, Any]:
     """Keyword arguments of a `Suite`, but for its detectors."""
     task = get_task(DEFAULT_TASK)
     limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
-    note = f"suite {STANDARD}: the world of task {task.key} of {task.suite}"
+    note = f"suite standard: the world of task {task.key} of {task.suite}"
     return {**task.world_kwargs, **limit, "notes": (note,)}

@@ -7,12 +7,14 @@ what is played with nominal thresholds comes by name, without a comparison.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
 
 from ...detectors.calibrated import NOISY_WARMUP
 from ...spoofers.base import sees_statistics
+from ..experiments.campaign import CampaignResults
 from ..runs.record import MEASURES, STANFORD
 from ..scores.campaign import (
     ANY_RATE,
@@ -22,6 +24,7 @@ from ..scores.campaign import (
     STEALTHY,
     extract_name,
     headline,
+    score_protection,
 )
 from ..scores.statistics import Estimate
 from ..search.attack_suite import ORACLES
@@ -436,3 +439,69 @@ def print_campaign(summary: Row) -> None:
             INTEGRITY.print(f"{name}: protection level", rows)
     if summary["missing"]:
         print(f"not finished: {', '.join(summary['missing'])}")
+
+
+def print_search(search: Row) -> None:
+    """Print what was tried to fit a spoofer to the alarm budget."""
+    tuning_table(search).print(
+        f"{search['spoofer']} against {search['detector']}: P(alarm | silent twin) for a budget of "
+        f"{100 * search['budget']:g} %, on the {search['counted']} of {search['runs']} runs that "
+        "count; fewer only sift",
+        search["trials"],
+    )
+    if not search["within_budget"]:
+        print(f"nothing is within the budget; the smallest value is {search['value']:g}")
+
+
+def shorten_label(detector: str) -> str:
+    """Label of a detector without the rate of false alarms, which the report has."""
+    return re.sub(r"\(false_alarms_per_hour=[^,)]*\)|, ?false_alarms_per_hour=[^,)]*", "", detector)
+
+
+WORST = Table(
+    ("detector", lambda row: shorten_label(row["detector"]).replace(",", ", ")),
+    ("in 50 % of runs [m]", _select_headline(0.5), interval),
+    ("in 5 % [m]", _select_headline(0.05), lambda found: metres(found["value"])),
+    ("worst attack", _select_headline(0.5), itemgetter("spoofer")),
+)
+"""A detector, and what the worst attack of the suite exceeds undetected."""
+WIDTHS = (44, 22, 10, 20)
+"""Of its columns."""
+
+
+class WorstRows:
+    """The table of worst attacks, which grows with the detectors that are finished."""
+
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        self.waiting = [entry["label"] for entry in config["detectors"]]
+        self.titles = WORST.lines(None, WIDTHS)
+
+    def list_new(self, results: CampaignResults) -> list[str]:
+        """Lines of detectors that have been finished since the last call."""
+        found = [worst for each in self.waiting if (worst := results.protection(each)) is not None]
+        scores = [(each.detector, score_protection(each, ())) for each in found]
+        rows = [{"detector": name, "protection": score} for name, score in scores]
+        self.waiting = [x for x in self.waiting if x not in {each.detector for each in found}]
+        lines = [line for row in rows for line in WORST.lines(row, WIDTHS)]
+        titles, self.titles = (self.titles, []) if rows else ([], self.titles)
+        return [*titles, *lines]
+
+
+def state_answer(summary: Row) -> str:
+    """The detector that holds attacks tightest, controls apart, in one sentence."""
+    scores = [(row["detector"], headline(row, 0.5) or {}) for row in summary["protection"]]
+    where = "in half of the runs"
+    if not scores:  # the strongest within the alarm budget
+        cells = sorted(summary["cells"], key=lambda x: x["stealthy_displacement_m"]["value"] or 0.0)
+        best = {x["detector"]: {**x["stealthy_displacement_m"], **x} for x in cells}
+        scores, where = [*best.items()], f"in the mean at {100 * summary['budget']:g} % of alarms"
+    own = [each for each in scores if extract_name(each[0]) not in CONTROLS]
+    name, found = min(own or scores, key=lambda each: each[1]["value"] or 0.0)
+    (row,) = (row for row in summary["detectors"] if row["detector"] == name)
+    claimed = row["claimed"]
+    asked = f" (asked {claimed['false_alarms_per_hour']:g})" if claimed else ""
+    return (
+        f"{f'Tightest of {len(own)}: ' if len(own) > 1 else ''}{shorten_label(name)}: "
+        f"{interval(found)} m undetected {where} (worst: {found['spoofer']}), false alarms "
+        f"{metres(row['false_alarms_per_hour']['value'])}/h{asked}."
+    )

@@ -8,7 +8,7 @@ from typing import Any
 
 from ...attacks import ATTACKS
 from ...core.declared import list_declarations
-from ...core.registry import check_choice, inspect_settings
+from ...core.registry import inspect_settings
 from ...core.settings import describe
 from ...detectors import DETECTORS
 from ...envs.factory import VICTIMS, list_parameters
@@ -155,15 +155,7 @@ SETTINGS = Table(
 
 
 def list_settings(kind: str, name: str) -> list[dict[str, Any]]:
-    """Rows of `SETTINGS`, as the class of a registered name declares them.
-
-    Raises
-    ------
-    ValueError
-        For a kind whose settings no class declares, or an unknown name.
-    """
-    check_choice("kind with settings", kind, CLASSES)
-    check_choice(kind.removesuffix("s"), name, CLASSES[kind])
+    """Rows of `SETTINGS`, as the class of a registered name declares them."""
     record = CLASSES[kind][name]
     defaults, empty = inspect_settings(record), inspect.Parameter.empty
     return [

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
+from itertools import zip_longest
 from operator import itemgetter
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from ..scores.statistics import format_number as format_number
@@ -66,21 +68,23 @@ class Table:
             lines.append(f"| {' | '.join(cells)} |")
         return "\n".join(lines)
 
-    def print(
-        self,
-        title: str,
-        rows: Iterable[Any],
-        *,
-        names: int = 1,
-        width: int = WIDTH,
-        style: Callable[[Any], str] = lambda row: "",
-    ) -> None:
+    def lines(self, row: Any, widths: Sequence[int]) -> list[str]:
+        """Lines of a row, or of the titles for None, in columns of some widths."""
+        texts = self.titles if row is None else self.texts([row])[0]
+        columns = [
+            wrap(text, width, break_on_hyphens=False)
+            for text, width in zip(texts, widths, strict=True)
+        ]
+        lines = zip_longest(*columns, fillvalue="")
+        return ["  ".join(map(str.ljust, line, widths)).rstrip() for line in lines]
+
+    def print(self, title: str, rows: Iterable[Any], *, names: int = 1, width: int = WIDTH) -> None:
         """Print the table; its first columns, `names`, are never broken."""
         from rich import box, table
         from rich.console import Console
         from rich.text import Text
 
-        console, rows = Console(), list(rows)
+        console = Console()
         if not console.is_terminal:
             console = Console(width=width)
         # as Text, since rich takes a unit in brackets for a style
@@ -88,8 +92,8 @@ class Table:
         for k, column in enumerate(self.columns):
             head = Text(column.title)
             shown.add_column(head, overflow="fold", no_wrap=k < names, justify=column.align)
-        for row, texts in zip(rows, self.texts(rows), strict=True):
-            shown.add_row(*map(Text, texts), style=style(row))
+        for texts in self.texts(rows):
+            shown.add_row(*map(Text, texts))
         console.print(shown)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from functools import partial
 from importlib.resources import files
 from operator import itemgetter
@@ -220,16 +221,30 @@ DETECTOR_TASK_LIST = Table(
 )
 
 
-def print_tasks() -> None:
-    TASK_LIST.print("for spoofers", TASKS.items())
-    if rows := task_rows():
-        TASK_SCORES.print("stealthy displacement", rows)
-        ADMISSION.print("admission", admission_rows())
-    DETECTOR_TASK_LIST.print("for detectors", DETECTOR_TASKS.items())
-    if cards := stored_detector_cards():
-        CARDS.print("protection", list_score_rows(cards))
+def print_tasks(keys: Sequence[str] = (*TASKS, *DETECTOR_TASKS)) -> None:
+    """Print tasks and their scores; `keys`: which ones."""
+    cards = {key: card for key, card in stored_detector_cards().items() if key in keys}
+    tables = (
+        (TASK_LIST, "for spoofers", [each for each in TASKS.items() if each[0] in keys]),
+        (TASK_SCORES, "stealthy displacement", _select(task_rows(), keys)),
+        (ADMISSION, "admission", _select(admission_rows(), keys)),
+        (
+            DETECTOR_TASK_LIST,
+            "for detectors",
+            [each for each in DETECTOR_TASKS.items() if each[0] in keys],
+        ),
+        (CARDS, "protection", list_score_rows(cards)),
+    )
+    for table, title, rows in tables:
+        if rows:
+            table.print(title, rows)
     for key, command in missing().items():
-        print(f"{key} has no reference scores yet: {command}")
+        if key in keys:
+            print(f"{key} has no reference scores yet: {command}")
+
+
+def _select(rows: Sequence[Card], keys: Sequence[str]) -> list[Card]:
+    return [row for row in rows if row["task"] in keys]
 
 
 def print_scores(scores: list[Card]) -> None:

@@ -34,6 +34,8 @@ from ..scores.statistics import BUDGET, build_log_grid, fewest_runs, rounded_dow
 RULES = UPPER_LIMIT, EXACT = "upper-limit", "exact"
 """How an amplitude is fitted to the alarm budget: by the upper 95 % limit of the alarm rate on
 training runs, or to exactly the budget on the runs that are scored (`alarm_amplitude`)."""
+GENERATIONS = 60
+"""Of a search for an open-loop attack."""
 EXACT_PLAYS = 10.0  # of each run that an exact search takes, roughly
 RESOLUTION = 1.02
 """Ratio of the smallest value known to be over the budget to the largest one known to keep it."""
@@ -67,11 +69,17 @@ class Tuning:
         one_of=RULES,
         help="Whether the budget is kept by the upper limit of the alarm rate, or met exactly.",
     )
+    generations: int = setting(
+        default=GENERATIONS,
+        least=0,
+        omitted=True,
+        help="Generations of a search for an open-loop attack.",
+    )
 
     def as_dict(self) -> dict[str, Any]:
-        """Settings, JSON-able; the rule where it is not the default, which is older than it."""
-        named = asdict(self)
-        return {key: x for key, x in named.items() if (key, x) != ("rule", UPPER_LIMIT)}
+        """Settings, JSON-able; two of them where they are not the default, which is older."""
+        left_out = {("rule", UPPER_LIMIT), ("generations", GENERATIONS)}
+        return {key: x for key, x in asdict(self).items() if (key, x) not in left_out}
 
     @property
     def split(self) -> str:

@@ -81,7 +81,8 @@ def _finite(value: float) -> float | None:
 
 class DisplacementBounds:
     """Floor of a world and zero-alarm bounds of detectors in it, over so many that are drawn.
-    `budget`: of alarms, which the floor keeps."""
+    `budget`: of alarms, which the floor keeps; `floor_worlds`: of the floor, by default one under
+    every sky."""
 
     def __init__(
         self,
@@ -90,9 +91,10 @@ class DisplacementBounds:
         entropy: int = 0,
         budget: float = BUDGET,
         worlds: int = WORLDS,
+        floor_worlds: int | None = None,
     ) -> None:
         self.world, self.detectors, self.entropy = world, detectors, entropy
-        self.budget, self.worlds = budget, worlds
+        self.budget, self.worlds, self.floor_worlds = budget, worlds, floor_worlds
         self._cases: list[WorldSample] | None = None
         self._bounds: dict[str, ZeroAlarm] = {}
 
@@ -105,7 +107,7 @@ class DisplacementBounds:
         if self.setup is None:
             return {"why": f"no limit is known for {self.world.setup.whose}"}
         try:
-            frontier = compute_frontier(self.setup, entropy=self.entropy)
+            frontier = compute_frontier(self.setup, worlds=self.floor_worlds, entropy=self.entropy)
         except ValueError as error:
             return {"why": str(error)}
         return tabulate_lower_limits(frontier, self.rates, self.budget)

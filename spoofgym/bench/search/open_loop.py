@@ -44,7 +44,15 @@ from ..runs.record import MEASURES
 from ..scores.at_budget import score_best
 from ..scores.statistics import aim
 from .alarm_amplitude import tune_at_budget
-from .amplitude import EXACT, Tuning, TuningResult, search_work, tune_amplitude, with_rates
+from .amplitude import (
+    EXACT,
+    GENERATIONS,
+    Tuning,
+    TuningResult,
+    search_work,
+    tune_amplitude,
+    with_rates,
+)
 from .backends import Backend, EngineBackend, ReplayBackend, Rows, get_rate_limits
 from .bounds import DisplacementBounds
 
@@ -90,7 +98,9 @@ class OpenLoopSearch:
     knots: int = setting(default=12, least=2, most=MOST_KNOTS, help="Knots of the curve.")
     population: int = setting(default=12, least=4, help="Size of a generation of CMA-ES.")
     generations: int = setting(
-        default=60, least=0, help="Generations of CMA-ES; 0 for the best of the first curves."
+        default=GENERATIONS,
+        least=0,
+        help="Generations of CMA-ES; 0 for the best of the first curves.",
     )
     seed: int = setting(default=0, least=0, help="Seed of the search.")
 
@@ -402,7 +412,8 @@ class Optima:
         self.bounds, self.tuning, self.spoofers = brackets, tuning, spoofers
         self.alert_limit_m = alert_limit_m
         self.world, self.threads, own = brackets.world, threads, OpenLoopSearch()
-        self.settings = replace(own, runs=min(own.runs, max(RUNS_EACH * tuning.runs, 8)))
+        runs = min(own.runs, max(RUNS_EACH * tuning.runs, 8))
+        self.settings = replace(own, runs=runs, generations=tuning.generations)
         self._replay: Replay | None = None
         self._numbers: dict[str, int] | None = None
         self._unwatched: tuple[WarmStart, Runs] | None = None

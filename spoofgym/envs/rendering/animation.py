@@ -1,4 +1,4 @@
-"""Frames written as a moving picture: GIF by Pillow, MP4 by FFmpeg."""
+"""Frames written as an animation: GIF and WebP by Pillow, MP4 by FFmpeg."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from ...core.files import whole_file
 from ...core.registry import check_choice
 
 Frame = NDArray[np.uint8]
+QUALITY = 75
+"""Of the pictures of a WebP, of 100."""
 
 
 def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0) -> Path:
@@ -27,7 +29,7 @@ def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0)
     frames : iterable of ndarray
         (H, W, 3) uint8, at least one, all of one shape; a GIF takes 256 colours for each.
     path : Path or str
-        File; its ending says the format, ``.gif`` or ``.mp4``.
+        File; its ending says the format, ``.gif``, ``.webp`` or ``.mp4``.
     fps : float
         Frames a second; a GIF has 100 over a whole number, the nearest is taken.
 
@@ -50,18 +52,28 @@ def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0)
 def animation_writer(path: Path, fps: float) -> Callable[..., None]:
     """What writes a format; a ValueError for an ending or a pace that `save_animation` refuses."""
     check_number("fps", fps, above=0.0, most=100.0)
-    writers = {".gif": _write_gif, ".mp4": _write_mp4}
     ending = path.suffix.lower()
-    check_choice("ending of an animation", ending, writers)
-    return writers[ending]
+    check_choice("ending of an animation", ending, WRITERS)
+    return WRITERS[ending]
 
 
-def _write_gif(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps: float) -> None:
+def _import_pillow() -> Any:
     try:
         from PIL import Image
     except ImportError as error:
-        raise ImportError("a GIF needs Pillow: pip install spoofgym[report]") from error
+        text = "a GIF or WebP needs Pillow: pip install spoofgym[report]"
+        raise ImportError(text) from error
+    return Image
 
+
+def _write_webp(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps: float) -> None:
+    images, pace = map(_import_pillow().fromarray, frames), max(round(1000.0 / fps), 1)
+    settings: dict[str, Any] = {"append_images": images, "duration": pace, "quality": QUALITY}
+    next(images).save(path, format="WEBP", save_all=True, loop=0, **settings)
+
+
+def _write_gif(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps: float) -> None:
+    Image = _import_pillow()
     # of three ways to choose 256 colours the one that also keeps those of a few pixels, as alarms
     images = (Image.fromarray(f).quantize(256, Image.Quantize.MAXCOVERAGE) for f in frames)
     pace = 10 * max(round(100.0 / fps), 1)
@@ -102,3 +114,11 @@ def _write_mp4(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps:
     if process.returncode:
         text = " ".join(said.decode(errors="replace").split())
         raise OSError(f"FFmpeg failed with code {process.returncode}: {text}")
+
+
+WRITERS: dict[str, Callable[..., None]] = {
+    ".gif": _write_gif,
+    ".webp": _write_webp,
+    ".mp4": _write_mp4,
+}
+"""What writes a format, by its ending."""
