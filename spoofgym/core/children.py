@@ -8,18 +8,11 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 LONGEST = 1 << 31
 """Bytes of a message."""
-ALIGNED = 64
-"""Bytes to a multiple of which shared arrays are laid out."""
 
 
 def child_environment() -> dict[str, str]:
@@ -94,22 +87,3 @@ class Channel:
                 raise EOFError("the other side has ended")
             parts += part
         return bytes(parts)
-
-
-Layout = Sequence[tuple[str, str, tuple[int, ...], int]]
-"""Name, type, shape and place in bytes of each array in a shared memory."""
-
-
-def lay_out(shapes: Mapping[str, tuple[str, tuple[int, ...]]]) -> tuple[Layout, int]:
-    """Places of arrays by name, type and shape, one after the other, and the bytes of them all."""
-    found, place = [], 0
-    for name, (kind, shape) in shapes.items():
-        found.append((name, kind, shape, place))
-        size = int(np.prod(shape)) * np.dtype(kind).itemsize
-        place += -(-size // ALIGNED) * ALIGNED
-    return found, max(place, ALIGNED)
-
-
-def map_arrays(memory: Any, layout: Layout) -> dict[str, NDArray[Any]]:
-    """The arrays of a layout in a memory, by name."""
-    return {name: np.ndarray(shape, kind, memory, at) for name, kind, shape, at in layout}

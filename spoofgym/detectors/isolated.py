@@ -25,9 +25,10 @@ import cloudpickle
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.children import Channel, child_environment, lay_out, map_arrays
+from ..core.children import Channel, child_environment
 from ..core.declared import setting, settings_record
 from ..core.memory import Memory
+from ..core.registry import require
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict
 from .build import split_spec
@@ -88,7 +89,7 @@ class _Host:
         other.close()
         self.channel = Channel(own)
         self.end = weakref.finalize(self, _end_host, self.process, own, os.getpid())
-        self.traits = _ask(self.channel, content, limit_s, "the detector, while it was loaded,")
+        self.traits = _ask(self.channel, content, limit_s, "a detector that is loaded")
 
     @classmethod
     def find(cls, content: bytes, limit_s: float) -> _Host:
@@ -115,31 +116,37 @@ def _end_host(process: subprocess.Popen[bytes], channel: socket.socket, parent: 
 
 
 def _ask(
-    channel: Channel, content: bytes, limit_s: float, name: str, epoch: Epoch | None = None
+    channel: Channel,
+    content: bytes,
+    limit_s: float,
+    name: str,
+    epoch: Epoch | None = None,
+    raw: bool = False,
 ) -> Any:
-    """Answer to a message: JSON, or bytes that are none. `name`: subject of messages."""
+    """Answer to a message: JSON, or `raw` bytes. `name`: subject of what is said of a failure."""
     time_s = None if epoch is None else float(epoch.time[0])
-    where = "" if epoch is None else f"epoch at {time_s:g} s of {len(epoch.time)} receivers: "
+    receivers = "" if epoch is None else f" of {len(epoch.time)} receivers: "
+    at = "" if epoch is None else f"epoch at {time_s:g} s"
     try:
         channel.send(content, limit_s)
         answer = channel.receive(limit_s)
     except TimeoutError:
-        message = f"{where}{name} took longer than {limit_s:g} s"
+        message = f"{at}{receivers}{name} took longer than {limit_s:g} s"
         raise IsolationError(message, "hangs", time_s) from None
     except (EOFError, OSError):
-        message = f"{where}{name} ended its process"
+        message = f"{at}{receivers}{name} ended its process"
         raise IsolationError(message, "ends", time_s) from None
-    if answer[:1] != b"!":
-        return answer[1:]
+    row = None
     try:
+        if answer[:1] == b"=":
+            return answer[1:] if raw else json.loads(answer[1:])
         failure = json.loads(answer[1:])
-        receiver, error = failure.get("receiver"), str(failure["error"])
-    except (ValueError, KeyError, TypeError, AttributeError):
-        receiver, error = None, "no valid answer"
-    receiver = receiver if type(receiver) is int else None
-    one = "" if receiver is None else f", receiver {receiver}"
-    where = where.replace(" of ", f"{one} of ", 1)
-    raise IsolationError(f"{where}{name} raises {error}", "raises", time_s, receiver)
+        error, row = f"raises {failure['error']}", failure.get("receiver")
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        error = "gives no valid answer"
+    row = row if type(row) is int else None
+    one = "" if row is None else f", receiver {row}"
+    raise IsolationError(f"{at}{one}{receivers}{name} {error}", "raises", time_s, row)
 
 
 class _Bound:
@@ -172,26 +179,26 @@ class _Bound:
         if self.failure is None:
             self._open()
 
-    def request(
-        self, work: str, *given: Any, epoch: Epoch | None = None, raw: bool = False
-    ) -> Any:
+    def request(self, work: str, *given: Any, epoch: Epoch | None = None, raw: bool = False) -> Any:
         """What a method of `isolated_child.Server` returns. `raw`: bytes."""
         if self.failure is not None:
             raise self.failure
         if self._parent != os.getpid():
             raise RuntimeError(f"{self._name} is bound in a process that this one was forked from")
-        limit = self._limits[self._judged is False]
+        limit_s, content = self._limits[not self._judged], pickle.dumps((work, *given))
+        self.failure = IsolationError(f"{self._name} was stopped", "hangs")  # as by Ctrl-C
         try:
-            answer = _ask(self.channel, pickle.dumps((work, *given)), limit, self._name, epoch)
-            self._judged |= work == "judge"
-            return answer if raw else json.loads(answer)
-        except BaseException as error:
-            known = isinstance(error, IsolationError)
-            self.failure = error if known else IsolationError(f"{self._name} was stopped", "ends")  # type: ignore[assignment]
-            self.end()
-            if self.failure.reason == "hangs":  # nothing else ends what no longer listens
-                self._host.end()
+            answer = _ask(self.channel, content, limit_s, self._name, epoch, raw)
+            self._judged, self.failure = self._judged or work == "judge", None
+        except IsolationError as error:
+            self.failure = error
             raise
+        finally:
+            if self.failure is not None:
+                self.end()
+                if self.failure.reason == "hangs":  # nothing else ends what no longer listens
+                    self._host.end()
+        return answer
 
     def show(self, epoch: Epoch, needs: frozenset[str], columns: int) -> None:
         """Write an epoch to the memory that the other process shares."""
@@ -210,12 +217,15 @@ class _Bound:
         self, shapes: dict[str, tuple[str, tuple[int, ...]]], sizes: tuple[int, ...], columns: int
     ) -> None:
         b, m = sizes
-        answers = {"statistic": ("<f8", (b, columns)), "threshold": ("<f8", (b, columns))}
-        answers |= {"alarm": ("|u1", (b, columns)), "weights": ("<f8", (b, m))}
-        layout, size = lay_out({**shapes, **answers, "of_receivers": ("<f8", (b,))})
-        os.ftruncate(self._file.fileno(), size)
-        self._arrays = map_arrays(mmap(self._file.fileno(), size), layout)
-        self.request("share", layout, size)
+        answers: dict[str, tuple[str, tuple[int, ...]]]
+        answers = {"statistic": ("f8", (b, columns)), "threshold": ("f8", (b, columns))}
+        answers |= {"alarm": ("u1", (b, columns)), "weights": ("f8", (b, m))}
+        answers |= {"of_receivers": ("f8", (b,))}
+        kind = np.dtype([(name, *each) for name, each in {**shapes, **answers}.items()], align=True)
+        os.ftruncate(self._file.fileno(), kind.itemsize)
+        record = np.ndarray((), kind, mmap(self._file.fileno(), kind.itemsize))
+        self._arrays = {name: record[name] for name in kind.names or ()}
+        self.request("share", kind)
         self._shapes = shapes
 
     def read(self, name: str) -> FloatArray:
@@ -281,6 +291,7 @@ class Isolated(Detector):
     label: ClassVar[str | None] = None
 
     def __post_init__(self) -> None:
+        require(hasattr(os, "fork"), "detectors are isolated by forks, which this system has not")
         given = self.detector
         if not isinstance(given, str | Mapping | Detector) or isinstance(given, Calibrated):
             raise TypeError(
@@ -288,7 +299,7 @@ class Isolated(Detector):
             )
         self._content = cloudpickle.dumps(given)
         self._host = _Host.find(self._content, self.start_limit_s)
-        self._traits = json.loads(self._host.traits)
+        self._traits = self._host.traits
         for name in (*WORDS, *FLAGS):
             setattr(self, name, (str if name in WORDS else bool)(self._traits[name]))
         self.needs = frozenset(map(str, self._traits["needs"]))  # type: ignore[misc]
@@ -342,7 +353,7 @@ class Isolated(Detector):
         return self._bound.read("of_receivers") if has else None
 
     def _request(self, work: str, epoch: Epoch, *given: Any) -> Any:
-        (b, m), n = epoch.innovation.shape, epoch.visible.shape[1]
+        m, n = epoch.innovation.shape[1], epoch.visible.shape[1]
         self._bound.show(epoch, self.needs, (n or m) if self.scope == "channel" else 1)
         return self._bound.request(work, *given, epoch=epoch)
 
@@ -351,18 +362,8 @@ def is_foreign(detector: str | Mapping[str, Any] | Detector) -> bool:
     """Whether a detector, or a part of it, is of a class that is not the package's own.
 
     `spoofgym audit` calls it on what it was given, before anything is imported, and plays what is
-    foreign as `isolate` returns it: a spec as text goes through stores and workers like any other,
-    an object as the `thing` of a `PlayerSpec`.  An ``.onnx`` file is not foreign: it holds no code.
-
-    Parameters
-    ----------
-    detector : str, mapping or Detector
-        As `make_detector` takes it.
-
-    Returns
-    -------
-    bool
-        Of text, whether it names ``module:Class`` of another package.
+    foreign as `isolate` returns it: a spec goes through stores and workers like any other, an
+    object as the `thing` of a `PlayerSpec`.  An ``.onnx`` file is not foreign: it holds no code.
     """
     if isinstance(detector, str | Mapping):
         name = detector if isinstance(detector, str) else str(detector.get("name", ""))
@@ -376,20 +377,8 @@ def is_foreign(detector: str | Mapping[str, Any] | Detector) -> bool:
 
 
 def isolate(detector: Any, **limits: float) -> Any:
-    """A detector, or its spec, with its foreign parts in processes of their own.
-
-    Parameters
-    ----------
-    detector : str, mapping or Detector
-        As `make_detector` takes it; requests for thresholds stay outside.
-    **limits : float
-        Settings of `Isolated`.
-
-    Returns
-    -------
-    str, mapping or Detector
-        Of the same kind; as it is where nothing is foreign.
-    """
+    """A detector, or its spec, whose foreign parts are `Isolated` with some `limits`; as it is
+    where nothing is foreign. Thresholds stay outside."""
     if not is_foreign(detector):
         return detector
     if isinstance(detector, str | Mapping):

@@ -22,14 +22,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.children import (
-    Channel,
-    Layout,
-    confine_process,
-    end_with_parent,
-    limit_resources,
-    map_arrays,
-)
+from ..core.children import Channel, confine_process, end_with_parent, limit_resources
 from ..core.memory import Memory
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict, judge_epoch
@@ -59,17 +52,13 @@ def describe_traits(detector: Detector) -> dict[str, Any]:
     }
 
 
-def load_detector(content: bytes) -> Detector:
-    given = pickle.loads(content)
-    return given if isinstance(given, Detector) else bare_detector(given)
-
-
 class Server:
     """A detector of one batch, and what the parent can have it do."""
 
     def __init__(self, channel: Channel, memory: int, detector: Detector) -> None:
         self.channel, self.memory, self.original = channel, memory, detector
-        self.detector, self.context = detector, None
+        self.detector = detector
+        self.context: DetectorContext | None = None
 
     def bind(self, context: DetectorContext, alarm_scale: float) -> Any:
         if alarm_scale != 1.0:
@@ -101,9 +90,10 @@ class Server:
         other: Memory = pickle.loads(content)
         self.detector.memory.copy_rows(to, other, rows)
 
-    def share(self, layout: Layout, size: int) -> None:
+    def share(self, kind: np.dtype[np.void]) -> None:
         """Take arrays that the parent writes to, fields of an epoch, and those that it reads."""
-        arrays = map_arrays(mmap.mmap(self.memory, size), layout)
+        record = np.ndarray((), kind, mmap.mmap(self.memory, kind.itemsize))
+        arrays = {name: record[name] for name in kind.names or ()}
         self.answers = {name: arrays.pop(name) for name in ("of_receivers", *Verdict._fields)}
         for array in arrays.values():
             array.flags.writeable = False
@@ -149,18 +139,23 @@ class Server:
         row = int(found[1]) if found else None
         if work == "judge" and isinstance(error, Exception) and row is None:
             row = self.find_receiver(type(error))
-        frames = traceback.extract_tb(error.__traceback__)
-        frames = [each for each in frames if os.sep + "spoofgym" + os.sep not in each.filename]
+        frames = [
+            each
+            for each in traceback.extract_tb(error.__traceback__)
+            if os.sep + "spoofgym" + os.sep not in each.filename
+        ]
         line = f" ({os.path.basename(frames[-1].filename)}:{frames[-1].lineno})" if frames else ""
         return {"error": f"{type(error).__name__}: {error}"[:2000] + line, "receiver": row}
 
     def find_receiver(self, kind: type[Exception]) -> int | None:
-        """A receiver that alone makes the detector fail, as it is now; None where there is none."""
+        """The one receiver that makes the detector fail, as it is now; None where there is none."""
         rows = np.arange(len(self.epoch.time))
         while len(rows) > 1:
-            half = rows[: len(rows) // 2]
-            rows = half if self._fails(half, kind) else rows[len(half) :]
-        return int(rows[0]) if self._fails(rows, kind) else None
+            failing = [each for each in np.array_split(rows, 2) if self._fails(each, kind)]
+            if len(failing) != 1:
+                return None
+            (rows,) = failing
+        return int(rows[0])
 
     def _fails(self, rows: NDArray[np.intp], kind: type[Exception]) -> bool:
         other, context = copy.deepcopy(self.original), self.context
@@ -169,7 +164,7 @@ class Server:
             other.bind(context._replace(receivers=len(rows)))
             other.memory.copy_rows(np.arange(len(rows)), self.detector.memory, rows)
             fields = (None if each is None else each[rows] for each in self.epoch)
-            judge_epoch(other, Epoch(*fields))  # type: ignore[arg-type]
+            judge_epoch(other, Epoch(*fields))
         except Exception as error:
             return isinstance(error, kind)
         return False
@@ -178,10 +173,11 @@ class Server:
 def serve_host(channel: Channel) -> None:
     """Load a detector, say what it is, and fork for every socket that the parent sends."""
     try:
-        detector = load_detector(channel.receive())
+        given = pickle.loads(channel.receive())
+        detector = given if isinstance(given, Detector) else bare_detector(given)
         answer = b"=" + json.dumps(describe_traits(detector)).encode()
     except BaseException as error:
-        channel.send(b"!" + json.dumps({"error": f"{type(error).__name__}: {error}"[:2000]}).encode())
+        channel.send(b"!" + json.dumps({"error": f"{type(error).__name__}: {error}"}).encode())
         return
     channel.send(answer)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system forgets those that have ended
@@ -210,11 +206,7 @@ def _serve_batch(channel: Channel, memory: int, detector: Detector) -> NoReturn:
         os._exit(0)
 
 
-def run_host() -> None:
+if __name__ == "__main__":
     confine_process()
     limit_resources(MEMORY)
     serve_host(Channel(socket.socket(fileno=int(sys.argv[1]))))
-
-
-if __name__ == "__main__":
-    run_host()

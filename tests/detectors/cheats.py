@@ -56,7 +56,8 @@ class Frames(Outsider):
 
 class Collected(Outsider):
     def find(self, epoch):
-        return np.full(len(epoch.time), any(map(attacks, gc.get_objects())))
+        looks = self.memory["epochs"].max() % 20 == 0  # which takes long in a large process
+        return np.full(len(epoch.time), looks and any(map(attacks, gc.get_objects())))
 
 
 class Proc(Outsider):
@@ -106,7 +107,7 @@ class PublicSeeds(Outsider):
 
 
 class Writer(Outsider):
-    """Writes to the memory of its arrays, so that the filter has no innovation."""
+    """Writes to the memory of its arrays."""
 
     def find(self, epoch):
         address, _ = epoch.innovation.__array_interface__["data"]
@@ -135,13 +136,13 @@ class Memorizer(Outsider):
 
 @dataclass
 class Fails(Outsider):
-    """Fails at its third epoch, in one way."""
+    """Fails from its third epoch on, in one way."""
 
     how: str = "raises"
 
     def judge(self, epoch):
         verdict = super().judge(epoch)
-        if self.memory["epochs"][0] == 3:
+        if self.memory["epochs"][0] >= 3:
             return getattr(self, self.how)(epoch, verdict)
         return verdict
 
@@ -172,7 +173,8 @@ class Fails(Outsider):
     def lies(self, epoch, verdict):
         for each in gc.get_objects():
             if type(each).__name__ == "Channel":
-                each.send(b"!" + b"[" * 100)
+                with contextlib.suppress(OSError):
+                    each.send(b"!" + b"[" * 100_000)
         return verdict
 
     def forks(self, epoch, verdict):

@@ -40,9 +40,7 @@ def epochs(count=12, receivers=5, channels=6):
     rng = np.random.default_rng(3)
     z = drawn(rng, np.broadcast_to(np.eye(2 * channels), (count, receivers, *[2 * channels] * 2)))
     S = np.broadcast_to(np.eye(2 * channels), (receivers, *[2 * channels] * 2))
-    return [
-        epoch(each, S)._replace(time=np.full(receivers, 0.5 * k)) for k, each in enumerate(z)
-    ]
+    return [epoch(each, S)._replace(time=np.full(receivers, 0.5 * k)) for k, each in enumerate(z)]
 
 
 def judged(detector, seen, bound=False):
@@ -100,9 +98,7 @@ def test_a_detector_goes_on_as_a_copy_in_another_process_and_in_a_pool():
 
 def test_thresholds_are_scaled_outside_and_states_inside():
     z = drawn(np.random.default_rng(0), np.broadcast_to(np.eye(12), (12, 3, 12, 12)))
-    for name in ("snapshot-chi2", "rio", "innovation-rate"):
-        if make_detector(name).measures == "position":
-            continue
+    for name in ("snapshot-chi2", "innovation-rate"):
         pair = (Calibrated(each, scale=0.7) for each in (make_detector(name), Isolated(name)))
         assert same(*(judge_all(each, z) for each in pair))
 
@@ -165,10 +161,10 @@ def test_public_seeds_are_of_no_use_for_runs_of_a_drawn_entropy():
 
 
 def test_what_a_detector_writes_to_its_arrays_changes_nothing_outside():
-    never = played(Never())
-    inside, outside = (played(each) for each in (cheats.Writer(), Isolated(cheats.Writer())))
-    assert not np.array_equal(inside.position, never.position)
-    np.testing.assert_array_equal(outside.position, never.position)
+    for detector, written in ((cheats.Writer(), True), (Isolated(cheats.Writer()), False)):
+        seen = epochs(2)
+        judged(detector, seen)
+        assert written != seen[0].innovation.any()
 
 
 # --- failures ---------------------------------------------------------------------------------
@@ -196,7 +192,7 @@ def test_a_failure_is_named_with_epoch_and_receiver(how, reason, receiver, messa
         judged(detector, seen)
     error = pickle.loads(pickle.dumps(found.value))
     assert (error.reason, error.time_s, error.receiver) == (reason, 1.0, receiver)
-    assert time.monotonic() - start < 5.0
+    assert time.monotonic() - start < 20.0
     with pytest.raises(IsolationError):  # it has ended
         detector.judge(seen[3])
     judged(detector, seen[:2])  # and may be bound again
