@@ -89,7 +89,11 @@ class _Host:
         other.close()
         self.channel = Channel(own)
         self.end = weakref.finalize(self, _end_host, self.process, own, os.getpid())
-        self.traits = _ask(self.channel, content, limit_s, "a detector that is loaded")
+        try:
+            self.traits = _ask(self.channel, content, limit_s, "a detector that is loaded")
+        except BaseException:
+            self.end()
+            raise
 
     @classmethod
     def find(cls, content: bytes, limit_s: float) -> _Host:

@@ -164,7 +164,7 @@ class Server:
             other.bind(context._replace(receivers=len(rows)))
             other.memory.copy_rows(np.arange(len(rows)), self.detector.memory, rows)
             fields = (None if each is None else each[rows] for each in self.epoch)
-            judge_epoch(other, Epoch(*fields))
+            judge_epoch(other, Epoch(*fields))  # type: ignore[arg-type]
         except Exception as error:
             return isinstance(error, kind)
         return False

@@ -9,12 +9,16 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
+import gymnasium as gym
 import numpy as np
 
 from spoofgym.bench.runs.panel import generators
 from spoofgym.bench.runs.play import WarmStart
 from spoofgym.detectors import Detector, Never, Verdict
+from spoofgym.receiver.epoch import select_receiver
+from spoofgym.wrappers.streams import Stream, StreamEnv
 
 from ..simulation.support import setup_of
 
@@ -58,6 +62,34 @@ class Collected(Outsider):
     def find(self, epoch):
         looks = self.memory["epochs"].max() % 20 == 0  # which takes long in a large process
         return np.full(len(epoch.time), looks and any(map(attacks, gc.get_objects())))
+
+
+class CheatingWrapper(gym.Wrapper):
+    """Alarms where its environment, the reward or an object of the process tells of an attack."""
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        inner = self.env.unwrapped
+        found = reward != 0.0 or hasattr(inner, "core") or any(map(attacks, gc.get_objects()))
+        assert len(info["epochs"]) == 1
+        return observation, reward, terminated, truncated, {**info, "alarm": found}
+
+
+class Wrapped(Outsider):
+    """A wrapper around a stand-in environment, whose information has the epochs."""
+
+    def bind(self, context):
+        super().bind(context)
+        box = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        inner = SimpleNamespace(observation_space=box, action_space=box, metadata={})
+        self.env = CheatingWrapper(StreamEnv(inner))
+
+    def find(self, epoch):
+        if self.memory["epochs"].max() % 20:
+            return super().find(epoch)
+        self.env.unwrapped.feed.streams = [Stream((), (select_receiver(epoch, 0),), 0)]
+        self.env.unwrapped.feed.at = -1
+        return np.full(len(epoch.time), self.env.step(np.zeros(2))[4]["alarm"])
 
 
 class Proc(Outsider):

@@ -129,7 +129,7 @@ def test_what_is_foreign_and_how_it_is_isolated():
 # --- cheats -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["Frames", "Collected", "Memorizer"])
+@pytest.mark.parametrize("name", ["Frames", "Collected", "Memorizer", "Wrapped"])
 def test_a_cheat_finds_an_attack_in_this_process_and_none_in_its_own(name):
     for apart in (False, True):
         detector = getattr(cheats, name)()
