@@ -49,13 +49,15 @@ FLAGS = (
 class IsolationError(RuntimeError):
     """A detector in a process of its own raised, judged badly, took too long or ended.
 
-    Attributes
+    Parameters
     ----------
+    message : str
+        Epoch, receiver, detector, and what it did.
     reason : {"raises", "hangs", "ends"}
-        What it did.
-    time_s : float or None
+        What it did, in a word.
+    time_s : float, optional
         Epoch at which it did; None before the first one.
-    receiver : int or None
+    receiver : int, optional
         Row of the batch that made it fail; None where any may have.
     """
 
