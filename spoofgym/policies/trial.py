@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import platformdirs
 
+from ..core.children import child_environment, limit_resources
 from ..core.files import write_file
 from ..core.settings import compute_digest
 from . import zoo
@@ -94,13 +94,11 @@ def examine(model: OnnxModel, claim: Claim) -> None:
 
 def _try_apart(claim: Claim) -> None:
     """Read a file and try its network in another process."""
-    paths = os.pathsep.join(filter(None, sys.path))
-    one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     try:
         done = subprocess.run(
             [sys.executable, "-m", "spoofgym.policies.trial"],
             input=claim.model_dump_json(),
-            env={**os.environ, **one, "PYTHONPATH": paths},
+            env=child_environment(),
             capture_output=True,
             text=True,
             timeout=PATIENCE_S,
@@ -127,12 +125,7 @@ def _try_apart(claim: Claim) -> None:
 def examine_claim() -> None:
     """Examine the network of a claim on stdin, within the limits; print what is wrong with it."""
     claim = Claim.model_validate_json(sys.stdin.read())
-    with suppress(ImportError, ValueError, OSError):  # a system without such limits
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        resource.setrlimit(resource.RLIMIT_CPU, (TIME_S, TIME_S + 1))
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    limit_resources(MEMORY, TIME_S)
     error = None
     try:
         size = len(claim.action.names)

@@ -14,6 +14,7 @@ from spoofgym.bench.experiments.dataset import Plan
 from spoofgym.bench.runs.world import World
 from spoofgym.data.ephemerides import BroadcastConstellation, Ephemerides
 from spoofgym.detectors import Calibrated, LearnedDetector, SnapshotChi2
+from spoofgym.detectors.isolated import Isolated
 from spoofgym.detectors.learned import PolicyDetector
 from spoofgym.envs.terms.action import Channels, Residual
 from spoofgym.envs.terms.termination import AtDisplacement, AtStealthBudget, AtSteps
@@ -57,6 +58,7 @@ EXAMPLES: dict[type, Callable[[], Any]] = {
     Until: lambda: Until(1.0),
     OnnxPolicy: lambda: OnnxPolicy("ewma-ppo"),
     Calibrated: lambda: Calibrated(SnapshotChi2(), scale=1.0),
+    Isolated: lambda: Isolated("snapshot-chi2"),
     LearnedDetector: one_file,
     PolicyDetector: lambda: PolicyDetector(policy=FunctionPolicy(abs)),
     Channels: lambda: Channels(("north",)),

@@ -1,0 +1,89 @@
+"""Processes for code and files of others: what they inherit, their limits, and messages."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import socket
+import struct
+import sys
+import time
+from contextlib import suppress
+
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+LONGEST = 1 << 31
+"""Bytes of a message."""
+
+
+def child_environment() -> dict[str, str]:
+    """Environment variables with which Python finds the same modules, and has one thread."""
+    paths = os.pathsep.join(filter(None, sys.path))
+    return {**os.environ, **ONE_THREAD, "PYTHONPATH": paths}
+
+
+def limit_resources(memory: int, cpu_s: int | None = None) -> None:
+    """Limit this process: bytes of memory, time of the processor, and no core file."""
+    with suppress(ImportError, ValueError, OSError):  # a system without such limits
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        if cpu_s is not None:
+            resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 1))
+        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+
+
+def confine_process() -> bool:
+    """Give up access to the memory of other processes, and signals to them, where the kernel has
+    landlock; False where it has not. Files and the network stay as they are."""
+    if sys.platform != "linux":
+        return False
+    libc = ctypes.CDLL(None, use_errno=True)
+    version = libc.syscall(444, None, 0, 1)  # landlock_create_ruleset
+    if version < 1:
+        return False
+    no_device_files = 1 << 11  # a ruleset must forbid some access to files
+    rules = struct.pack("QQQ", no_device_files, 0, 3 if version >= 6 else 0)
+    ruleset = libc.syscall(444, rules, 24 if version >= 6 else 8, 0)
+    libc.prctl(38, 1, 0, 0, 0)  # PR_SET_NO_NEW_PRIVS
+    confined = ruleset >= 0 and libc.syscall(446, ruleset, 0) == 0  # landlock_restrict_self
+    if ruleset >= 0:
+        os.close(ruleset)
+    return bool(confined)
+
+
+def end_with_parent() -> None:
+    """Let the kernel end this process when that which forked it ends, where it can."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(1, 9, 0, 0, 0)  # PR_SET_PDEATHSIG, SIGKILL
+
+
+class Channel:
+    """Messages of bytes over a socket. `receive`: a TimeoutError after `limit_s`, an EOFError once
+    the other side has ended; the reader of a message must not trust it."""
+
+    def __init__(self, own: socket.socket) -> None:
+        self.socket = own
+
+    def send(self, content: bytes, limit_s: float | None = None) -> None:
+        self.socket.settimeout(limit_s)
+        self.socket.sendall(struct.pack("I", len(content)) + content)
+
+    def receive(self, limit_s: float | None = None) -> bytes:
+        end = None if limit_s is None else time.monotonic() + limit_s
+        (size,) = struct.unpack("I", self._read(4, end))
+        if size > LONGEST:
+            raise EOFError(f"a message of {size} bytes")
+        return self._read(size, end)
+
+    def _read(self, size: int, end: float | None) -> bytes:
+        parts = bytearray()
+        while len(parts) < size:
+            left = None if end is None else end - time.monotonic()
+            if left is not None and left <= 0.0:
+                raise TimeoutError
+            self.socket.settimeout(left)
+            part = self.socket.recv(min(size - len(parts), 1 << 20))
+            if not part:
+                raise EOFError("the other side has ended")
+            parts += part
+        return bytes(parts)

@@ -1,0 +1,218 @@
+"""Detectors of an outsider that cheat or fail, each by one trick."""
+
+import contextlib
+import ctypes
+import gc
+import os
+import re
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+
+import gymnasium as gym
+import numpy as np
+
+from spoofgym.bench.runs.panel import generators
+from spoofgym.bench.runs.play import WarmStart
+from spoofgym.detectors import Detector, Never, Verdict
+from spoofgym.receiver.epoch import select_receiver
+from spoofgym.wrappers.streams import Stream, StreamEnv
+
+from ..simulation.support import setup_of
+
+MARK = re.compile(rb"ENTROPY-IS-(\d{20})")
+RUNS = 4
+
+
+class Outsider(Detector):
+    """Alarms where `find` does; `epochs` (B,) judged so far."""
+
+    paper = "vovk2005"
+
+    def bind(self, context):
+        super().bind(context)
+        self.memory.declare("epochs", np.zeros(context.receivers, dtype=np.int64))
+
+    def find(self, epoch):
+        return np.zeros(len(epoch.time), dtype=np.bool_)
+
+    def judge(self, epoch):
+        self.memory["epochs"] = self.memory["epochs"] + 1
+        alarm = np.array(self.find(epoch)).reshape(-1, 1)
+        return Verdict(alarm.astype(float), np.full(alarm.shape, 0.5), alarm)
+
+
+def attacks(thing):
+    """Whether an object commands an attack."""
+    return type(thing).__name__ == "SpooferController" and thing._parts[0].spec != "none"
+
+
+class Frames(Outsider):
+    def find(self, epoch):
+        frame, found = sys._getframe(), False
+        while frame is not None:
+            found |= any(map(attacks, frame.f_locals.values()))
+            frame = frame.f_back
+        return np.full(len(epoch.time), found)
+
+
+class Collected(Outsider):
+    def find(self, epoch):
+        looks = self.memory["epochs"].max() % 20 == 0  # which takes long in a large process
+        return np.full(len(epoch.time), looks and any(map(attacks, gc.get_objects())))
+
+
+class CheatingWrapper(gym.Wrapper):
+    """Alarms where its environment, the reward or an object of the process tells of an attack."""
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        inner = self.env.unwrapped
+        found = reward != 0.0 or hasattr(inner, "core") or any(map(attacks, gc.get_objects()))
+        assert len(info["epochs"]) == 1
+        return observation, reward, terminated, truncated, {**info, "alarm": found}
+
+
+class Wrapped(Outsider):
+    """A wrapper around a stand-in environment, whose information has the epochs."""
+
+    def bind(self, context):
+        super().bind(context)
+        box = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        inner = SimpleNamespace(observation_space=box, action_space=box, metadata={})
+        self.env = CheatingWrapper(StreamEnv(inner))
+
+    def find(self, epoch):
+        if self.memory["epochs"].max() % 20:
+            return super().find(epoch)
+        self.env.unwrapped.feed.streams = [Stream((), (select_receiver(epoch, 0),), 0)]
+        self.env.unwrapped.feed.at = -1
+        return np.full(len(epoch.time), self.env.step(np.zeros(2))[4]["alarm"])
+
+
+class Proc(Outsider):
+    """Looks for a secret in the memory of its process and of those above it."""
+
+    def find(self, epoch):
+        if self.memory["epochs"].max() == 1:
+            pid, self.secret = "self", False
+            while pid != "0":
+                self.secret |= self.read(pid)
+                with contextlib.suppress(OSError):
+                    status = Path(f"/proc/{pid}/status").read_text()
+                    pid = re.search(r"PPid:\s(\d+)", status)[1]
+                    continue
+                break
+        return np.full(len(epoch.time), self.secret)
+
+    def read(self, pid):
+        with contextlib.suppress(OSError), open(f"/proc/{pid}/mem", "rb", 0) as memory:
+            for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
+                first, last = (int(each, 16) for each in line.split()[0].split("-"))
+                if " rw-p " in line and last - first < 1 << 26:
+                    memory.seek(first)
+                    with contextlib.suppress(OSError, ValueError):
+                        if MARK.search(memory.read(last - first)):
+                            return True
+        return False
+
+
+class PublicSeeds(Outsider):
+    """Plays the runs of entropies 0 to 9 beforehand, and knows them at the onset."""
+
+    def bind(self, context):
+        super().bind(context)
+        self.memory.declare("known", np.zeros(context.receivers, dtype=np.bool_))
+        setup, self.onsets = setup_of("tightly-coupled", detector=Never()), set()
+        for entropy in range(10):
+            rngs = generators(setup, entropy, "evaluation", np.arange(RUNS))
+            seen = WarmStart(setup, rngs, threads=1).simulator.epoch.innovation
+            self.onsets.update(row.tobytes() for row in seen)
+
+    def find(self, epoch):
+        before = self.memory["known"]
+        here = [row.tobytes() in self.onsets for row in epoch.innovation]
+        self.memory["known"] = before | here
+        return before
+
+
+class Writer(Outsider):
+    """Writes to the memory of its arrays."""
+
+    def find(self, epoch):
+        address, _ = epoch.innovation.__array_interface__["data"]
+        ctypes.memset(address, 0, epoch.innovation.nbytes)
+        return super().find(epoch)
+
+
+SEEN = {}
+
+
+class Memorizer(Outsider):
+    """Stores runs in a global, and alarms where a run with the same start goes another way."""
+
+    def bind(self, context):
+        super().bind(context)
+        self.memory.declare("start", np.zeros(context.receivers))
+
+    def find(self, epoch):
+        self.memory["start"] = np.where(
+            self.memory["epochs"] == 1, epoch.innovation[:, 0], self.memory["start"]
+        )
+        keys = zip(self.memory["start"], self.memory["epochs"], strict=True)
+        rows = [row.tobytes() for row in epoch.innovation]
+        return [SEEN.setdefault(k, row) != row for k, row in zip(keys, rows, strict=True)]
+
+
+@dataclass
+class Fails(Outsider):
+    """Fails from its third epoch on, in one way."""
+
+    how: str = "raises"
+
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        if self.memory["epochs"][0] >= 3:
+            return getattr(self, self.how)(epoch, verdict)
+        return verdict
+
+    def raises(self, epoch, verdict):
+        if (epoch.innovation[:, 0] > 50.0).any():
+            raise ArithmeticError("too much")
+        return verdict
+
+    def nan(self, epoch, verdict):
+        verdict.statistic[2] = np.nan
+        return verdict
+
+    def shape(self, epoch, verdict):
+        return verdict._replace(alarm=verdict.alarm[:2])
+
+    def undeclared(self, epoch, verdict):
+        return verdict._replace(statistic=epoch.design[:, :1, 0])
+
+    def hangs(self, epoch, verdict):
+        time.sleep(60.0)
+
+    def leaves(self, epoch, verdict):
+        os._exit(0)
+
+    def quits(self, epoch, verdict):
+        sys.exit(3)
+
+    def lies(self, epoch, verdict):
+        for each in gc.get_objects():
+            if type(each).__name__ == "Channel":
+                with contextlib.suppress(OSError):
+                    each.send(b"!" + b"[" * 100_000)
+        return verdict
+
+    def forks(self, epoch, verdict):
+        os.fork()
+        return verdict
+
+    def prints(self, epoch, verdict):
+        print("a word of the detector", flush=True)
+        return verdict
