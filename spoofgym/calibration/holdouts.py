@@ -232,12 +232,8 @@ def check(
     parts = inner_detectors(detectors)
     pairs = list(zip(calibrations, parts, strict=True))
     for calibration, detector in pairs:
-        unlike = calibration.diff_settings(setup.conditions.settings, describe_identity(detector))
-        if unlike:
-            raise ValueError(
-                f"{calibration.path} is a calibration for something else than "
-                f"{calibration.detector['name']} in {setup.name}: {'; '.join(unlike)}"
-            )
+        identity, rescaled = describe_identity(detector), calibration.rescale is not None
+        calibration.check_matches(setup.conditions.settings, identity, setup.name, rescaled)
     same: dict[tuple[int, str, tuple[int, ...]], list[tuple[Calibration, Detector]]] = {}
     for calibration, detector in pairs:
         if not detector.draws:

@@ -44,7 +44,7 @@ class Verdict(NamedTuple):
     statistic : ndarray
         (B, c) raw test statistic; c channels, or 1 for a test of the whole receiver.
     threshold : ndarray
-        (B, c) what it is compared with.
+        (B, c) what it is compared with, above 0: a calibration multiplies it by a factor.
     alarm : ndarray
         (B, c) bool.
     weights : ndarray or None
@@ -378,7 +378,7 @@ def is_sound(statistic: FloatArray, threshold: FloatArray, weights: FloatArray |
     sound = True
     for b in range(statistic.shape[0]):
         for c in range(statistic.shape[1]):
-            sound &= np.isfinite(statistic[b, c]) and np.isfinite(threshold[b, c])
+            sound &= np.isfinite(statistic[b, c]) and 0.0 < threshold[b, c] < np.inf
     if weights is not None:
         for b in range(weights.shape[0]):
             for c in range(weights.shape[1]):
@@ -421,6 +421,8 @@ def _examine_part(
         valid, bad = "lie within 0 and 1", ~((part >= 0.0) & (part <= 1.0))
     else:
         valid, bad = "be finite", ~np.isfinite(part)
+        if name == "threshold":  # statistics are compared with it as ratios
+            valid, bad = "be finite and above 0", ~((part > 0.0) & (part < np.inf))
     for row, column in np.argwhere(bad)[:1].tolist():
         raise ValueError(
             f"{_at(kind, epoch, row)} `{name}` must {valid}, got {part[row, column]} for "

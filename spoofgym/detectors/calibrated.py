@@ -222,14 +222,7 @@ class Calibrated(Detector):
         if self.calibration is None:
             return list(load_stored(conditions, identity, self.rescaled))
         found = Calibration.load(self.calibration)
-        unlike = found.diff_settings(conditions.settings, identity)
-        if (found.rescale is not None) != self.rescaled:
-            unlike.append(f"rescaled: {found.rescale is not None} there, {self.rescaled} here")
-        if unlike:
-            raise ValueError(
-                f"{self.calibration} is a calibration for something else than "
-                f"{identity['name']} in {conditions.label}: {'; '.join(unlike)}"
-            )
+        found.check_matches(conditions.settings, identity, conditions.label, self.rescaled)
         return [found]
 
     def _missing(self, conditions: Conditions, identity: dict[str, Any]) -> str:

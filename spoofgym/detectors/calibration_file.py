@@ -16,10 +16,11 @@ distribution goes on, fitted to the uppermost maxima as in `coles2001`, and only
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -30,6 +31,7 @@ import platformdirs
 
 from ..core.declared import check_number
 from ..core.files import write_file
+from ..core.registry import require
 from ..core.settings import compute_digest, describe, diff_settings
 from .base import FloatArray
 
@@ -356,9 +358,24 @@ class Calibration:
     def save(self, path: Path) -> Calibration:
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         del fields["path"]
-        text = json.dumps({"format": FORMAT, **fields}, separators=(",", ":"), allow_nan=False)
+        content = {"format": FORMAT, **fields}
+        text = _write_json({**content, "checksum": _compute_checksum(content)})
         write_file(path, (text + "\n").encode())
         return dataclasses.replace(self, path=path)
+
+    def check_matches(
+        self, world: Mapping[str, Any], detector: Mapping[str, Any], label: str, rescaled: bool
+    ) -> None:
+        """Raise a ValueError that names all differences where it is that of another detector or
+        world, whatever its file is called; `label`: name of the world, for the message."""
+        unlike = self.diff_settings(world, detector)
+        if (self.rescale is not None) != rescaled:
+            unlike.append(f"rescaled: {self.rescale is not None} there, {rescaled} here")
+        if unlike:
+            raise ValueError(
+                f"{self.path} is a calibration for something else than {detector['name']} in "
+                f"{label}: {'; '.join(unlike)}"
+            )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Calibration:
@@ -369,6 +386,8 @@ class Calibration:
 def _load(path: str, modified: int) -> Calibration:
     try:
         found = json.loads(Path(path).read_text(encoding="utf-8"))
+        checksum = found.pop("checksum", None)  # not in files of before it
+        damaged = checksum not in (None, _compute_checksum(found))
         version = found.pop("format")
         if version != FORMAT:
             raise ValueError(f"its format is {version!r}, this version reads {FORMAT}")
@@ -377,16 +396,72 @@ def _load(path: str, modified: int) -> Calibration:
         for name in ("before", "witnesses"):
             found[name] = tuple(map(tuple, found[name]))
         made = Calibration(**found, path=Path(path))
-        sizes = len(made.ranks), len(made.largest)
-        sound = sizes[0] == sizes[1] > 0 and made.runs >= made.ranks[-1] and made.window_s > 0.0
-        numbers = np.array(made.largest, dtype=np.float64)
-        if not (sound and np.isfinite(numbers).all() and (np.diff(numbers) <= 0.0).all()):
-            raise ValueError("its order statistics are not in order")
+        _check_content(made)
+        require(not damaged, "its checksum is not that of its content")
         return made
     except KeyError as error:
         raise ValueError(f"{path} is no calibration: it has no {error}") from error
-    except (ValueError, TypeError, AttributeError) as error:
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{path} is no calibration: {error}") from error
+
+
+def _write_json(content: Mapping[str, Any]) -> str:
+    return json.dumps(content, separators=(",", ":"), allow_nan=False)
+
+
+def _compute_checksum(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(_write_json(content).encode()).hexdigest()[:16]
+
+
+def _check_content(made: Calibration) -> None:
+    """Raise a ValueError unless types, ranges and order are those of clean runs, and the runs that
+    are stored one by one fit the order statistics."""
+    for field_name, given in (("world", made.world), ("detector", made.detector)):
+        require(
+            isinstance(given, Mapping), f"`{field_name}` must be settings by name, got {given!r}"
+        )
+    texts = (("detector.name", made.detector.get("name")), ("seed_name", made.seed_name))
+    for field_name, text in texts:
+        require(isinstance(text, str), f"`{field_name}` must be a text, got {text!r}")
+    require(type(made.bisected) is bool, f"`bisected` must be a bool, got {made.bisected!r}")
+    check_number("window_s", made.window_s, above=0.0)
+    check_number("runs", made.runs, least=1, whole=True)
+    check_number("entropy", made.entropy, least=0, whole=True)
+    if made.rescale is not None:
+        require(len(made.rescale) == 4, f"`rescale` must be four factors, got {made.rescale}")
+        for factor in made.rescale:
+            check_number("rescale", factor, above=0.0)
+    early = _check_order("before", made.before, made.runs)
+    judged = _check_order("largest", zip(made.ranks, made.largest, strict=True), made.runs)
+    whole = made.bisected or (judged[0, 0], judged[-1, 0]) == (1, made.runs)
+    require(whole, "its order statistics must reach from rank 1 to that of all runs")
+    require(made.witnesses, "`witnesses` must be runs, got none")
+    for k, (run, *ratios) in enumerate(made.witnesses):
+        require(type(run) is int and run == k < made.runs, f"`witnesses` must be runs, got {run!r}")
+        for ratio in ratios:
+            check_number("witnesses", ratio)
+    stored = np.array([ratios for _, *ratios in made.witnesses])
+    for column, order in ((0, early), (1, judged)):
+        above = (stored[:, column] > order[:, 1, None] * (1.0 + 1e-9)).sum(axis=1)
+        fit = (above < order[:, 0]).all()
+        if order[-1, 0] == made.runs:
+            fit &= stored[:, column].min() >= order[-1, 1] * (1.0 - 1e-9)
+        require(fit or (column == 1 and made.bisected), "its runs do not fit its order statistics")
+
+
+def _check_order(name: str, pairs: Iterable[tuple[Any, Any]], runs: int) -> FloatArray:
+    """(r, 2) ranks, which rise up to `runs`, and values, which fall."""
+    listed = list(pairs)
+    for rank, value in listed:
+        sound = type(rank) is int and type(value) in (int, float)
+        require(sound, f"`{name}` must be numbers at whole ranks, got {value!r} at {rank!r}")
+    found = np.array(listed, dtype=np.float64).reshape(-1, 2)
+    valid = np.isfinite(found).all() and (found >= [1.0, 0.0]).all() and (found[:, 0] <= runs).all()
+    require(valid, f"its order statistics are not in order (`{name}`)")
+    steps = np.diff(found, axis=0)
+    ordered = len(found) and (steps[:, 0] > 0.0).all() and (steps[:, 1] <= 0.0).all()
+    require(ordered, f"its order statistics are not in order (`{name}`)")
+    return found
 
 
 def user_folder() -> Path:
@@ -418,7 +493,13 @@ def load_stored(
     name = file_name(conditions.digest, detector, rescaled)
     for place in folders() if folder is None else (folder,):
         if (place / name).is_file():
-            yield Calibration.load(place / name)
+            found = Calibration.load(place / name)
+            found.check_matches(conditions.settings, detector, conditions.label, rescaled)
+            require(
+                found.window_s == conditions.window_s,
+                f"{found.path} must have a window of {conditions.window_s} s, got {found.window_s}",
+            )
+            yield found
 
 
 def nearest(

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..calibration.clean_runs import Player
 from ..core.declared import check_number
-from ..core.registry import whole_number
+from ..core.registry import require, whole_number
 from ..core.settings import compute_digest, describe
 from ..detectors.calibration_file import (
     Calibration,
@@ -100,7 +100,13 @@ def calibrate_policy(
         request = {"false_alarm": false_alarm, "runs": runs, "seed": seed}
         path = Path(store) / f"{compute_digest({**request, 'world': world, **detector})}.json"
         if path.is_file():
-            return Calibration.load(path)
+            found = Calibration.load(path)
+            found.check_matches(world, detector, setup.name, rescaled=False)
+            require(
+                (found.runs, found.entropy) == (runs, seed),
+                f"{path} must have {runs} runs of seed {seed}, got {found.runs} of {found.entropy}",
+            )
+            return found
     judge = PolicyDetector(
         agent.statistic,
         agent.weighs,

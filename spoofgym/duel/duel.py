@@ -241,7 +241,8 @@ class Duel:
         limit, epoch = self.threshold.values.copy(), simulator.epoch
         verdict = self.agent.verdict(action, limit, epoch.visible, epoch.interval)
         # the threshold is the game's, and infinite where no alarm is wanted
-        check_verdict(verdict._replace(threshold=verdict.statistic), self.agent, epoch)
+        any_valid = np.ones(verdict.statistic.shape)
+        check_verdict(verdict._replace(threshold=any_valid), self.agent, epoch)
         simulator.verdict = verdict
         engine.update(verdict)
         holding, result = self.holding, StepResult(self._fused.layout)

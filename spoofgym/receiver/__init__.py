@@ -2,12 +2,15 @@
 
 from .adaptive import SelfTuning
 from .loose import LooselyCoupled
-from .replay import Recording, Solution, replay
+from .plausibility import ImplausibleWarning
+from .recording import Recording
+from .replay import Solution, replay
 from .snapshot import Fix, least_squares_fix
 from .tight import NavState, NoiseModel, TightlyCoupled
 
 __all__ = [
     "Fix",
+    "ImplausibleWarning",
     "LooselyCoupled",
     "NavState",
     "NoiseModel",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+import warnings
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,123 +14,11 @@ from ..truth.noise import pad_count
 from ..truth.sensors import SensorBuffers
 from . import _kernels
 from .epoch import ReceiverBuffers, kernel_table
-from .strapdown import LARGEST_ROTATION
+from .plausibility import ImplausibleWarning, check_recording, explain_flags, flag_epochs
+from .recording import MAY_BE_NAN, Recording
 from .tight import NavState, TightlyCoupled
 
-_SHAPES = {
-    "imu_time": "N",
-    "specific_force_b": "N3",
-    "angular_rate_b": "N3",
-    "gnss_time": "K",
-    "pseudorange": "Kn",
-    "range_rate": "Kn",
-    "satellite_position_e": "Kn3",
-    "satellite_velocity_e": "Kn3",
-}
 _SOLVED = ("position_e", "velocity_e", "C_eb", "accel_bias_b", "gyro_bias_b", "clock")
-MAY_BE_NAN = ("pseudorange", "range_rate", "satellite_position_e", "satellite_velocity_e")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Recording:
-    """Measurements of one receiver, from time zero on.
-
-    Parameters
-    ----------
-    imu_time : array_like
-        (N,) end of each sample's interval [s]; the first interval starts at 0.
-    specific_force_b, angular_rate_b : array_like
-        (N, 3) measured, body axes [m/s^2], [rad/s].
-    gnss_time : array_like
-        (K,) epochs [s], after 0, each within half a sample of the end of a sample.
-    pseudorange, range_rate : array_like
-        (K, n) [m], [m/s]; NaN in either where a channel has no measurement.
-    satellite_position_e, satellite_velocity_e : array_like
-        (K, n, 3) ECEF [m], [m/s]; NaN where absent.
-
-    Raises
-    ------
-    ValueError
-        When shapes disagree, a time runs backwards, a sample is not finite or turns by more than
-        a radian, or an epoch has no sample that ends with it.
-    """
-
-    imu_time: ArrayLike
-    specific_force_b: ArrayLike
-    angular_rate_b: ArrayLike
-    gnss_time: ArrayLike
-    pseudorange: ArrayLike
-    range_rate: ArrayLike
-    satellite_position_e: ArrayLike
-    satellite_velocity_e: ArrayLike
-
-    def __post_init__(self) -> None:
-        sizes: dict[str, int] = {"3": 3}
-        for field in fields(self):
-            array = np.array(getattr(self, field.name), dtype=np.float64)
-            letters = _SHAPES[field.name]
-            require(
-                array.ndim == len(letters),
-                f"`{field.name}` must have shape ({', '.join(letters)}), got {array.shape}",
-            )
-            for letter, size in zip(letters, array.shape, strict=True):
-                if sizes.setdefault(letter, size) != size:
-                    raise ValueError(
-                        f"`{field.name}` has shape {array.shape}, but {letter} is {sizes[letter]}"
-                    )
-            require(
-                field.name in MAY_BE_NAN or np.isfinite(array).all(),
-                f"`{field.name}` must be finite",
-            )
-            array.flags.writeable = False
-            object.__setattr__(self, field.name, array)
-        require(
-            sizes["N"] != 0 and sizes["K"] != 0,
-            "a recording needs at least one sample and one epoch",
-        )
-        for name in ("imu_time", "gnss_time"):
-            steps = np.diff(getattr(self, name), prepend=0.0)
-            if steps.min() <= 0.0:
-                k = int(steps.argmin())
-                raise ValueError(
-                    f"`{name}` must increase from above 0, "
-                    f"got {getattr(self, name)[k]} at index {k}"
-                )
-        turn = np.linalg.norm(np.asarray(self.angular_rate_b), axis=1) * np.diff(
-            np.asarray(self.imu_time), prepend=0.0
-        )
-        if turn.max() > LARGEST_ROTATION:
-            k = int(turn.argmax())
-            raise ValueError(
-                f"`angular_rate_b` turns by {turn[k]:.3g} rad over the sample that ends at "
-                f"{np.asarray(self.imu_time)[k]} s; at most {LARGEST_ROTATION:g} rad "
-                "(are the rates in rad/s?)"
-            )
-        self.epoch_samples()
-
-    def epoch_samples(self) -> NDArray[np.int64]:
-        """Match the epochs to the samples. Returns (K,) number of samples up to and including the
-        one that ends at the epoch."""
-        imu_time = np.asarray(self.imu_time)
-        gnss_time = np.asarray(self.gnss_time)
-        after = np.clip(np.searchsorted(imu_time, gnss_time), 0, len(imu_time) - 1)
-        before = np.maximum(after - 1, 0)
-        nearer = np.abs(imu_time[before] - gnss_time) < np.abs(imu_time[after] - gnss_time)
-        found = np.where(nearer, before, after)
-        sample = np.diff(imu_time, prepend=0.0)[found]
-        off = np.abs(imu_time[found] - gnss_time)
-        if (off > 0.5 * sample).any():
-            k = int(np.argmax(off > 0.5 * sample))
-            raise ValueError(
-                f"no sample ends within half a sample of the epoch at {gnss_time[k]} s; "
-                f"the nearest ends at {imu_time[found[k]]} s"
-            )
-        if (np.diff(found) < 1).any():
-            k = int(np.argmax(np.diff(found) < 1))
-            raise ValueError(
-                f"the epochs at {gnss_time[k]} and {gnss_time[k + 1]} s share a sample"
-            )
-        return found + 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,6 +44,11 @@ class Solution:
         (K,) bool, whether the update was left out for want of satellites.
     innovation : ndarray
         (K, 2n) before the update, pseudoranges first; 0 where absent.
+    flag : ndarray
+        (K,) str: "" where nothing is wrong; "innovations" where they are far beyond their
+        covariance; "sd" where the standard deviations have not fitted for a while; "not finite".
+    remark : str
+        How many epochs are flagged, and the likeliest cause; "" where none is.
     """
 
     time: NDArray[np.float64]
@@ -167,6 +62,8 @@ class Solution:
     sd: NDArray[np.float64]
     coasting: NDArray[np.bool_]
     innovation: NDArray[np.float64]
+    flag: NDArray[np.str_]
+    remark: str
 
 
 def load_initial(buffers: ReceiverBuffers, receiver: TightlyCoupled, initial: NavState) -> None:
@@ -202,13 +99,18 @@ def replay(
     Returns
     -------
     Solution
-        Estimates and standard deviations after every epoch's update.
+        Estimates and standard deviations after every epoch's update, and flags.
 
     Raises
     ------
     ValueError
-        When `noise_variance` has the wrong shape or is not positive, or when the receiver is
-        ``tuning="matched"`` with nothing to match.
+        When measurements, initial state or noise can't be (`plausibility`), or when the receiver
+        is ``tuning="matched"`` with nothing to match.
+
+    Warns
+    -----
+    ImplausibleWarning
+        The `remark` of the solution, where epochs are flagged.
 
     Examples
     --------
@@ -217,7 +119,7 @@ def replay(
     >>> n = 100
     >>> recording = Recording(
     ...     imu_time=np.arange(1, n + 1) * 0.01,
-    ...     specific_force_b=np.tile([0.0, 0.0, -9.8], (n, 1)),
+    ...     specific_force_b=np.tile([9.8, 0.0, 0.0], (n, 1)),
     ...     angular_rate_b=np.zeros((n, 3)),
     ...     gnss_time=[1.0],
     ...     pseudorange=np.full((1, 8), np.nan),
@@ -235,8 +137,7 @@ def replay(
     >>> bool(replay(recording, TightlyCoupled(), initial=initial).coasting[0])
     True
     """
-    range_, rate, position, velocity = (np.asarray(getattr(recording, n)) for n in MAY_BE_NAN)
-    epochs, n = range_.shape
+    epochs, n = np.shape(recording.pseudorange)
     require(
         receiver.tuning != "augmented",
         "a replay knows no world for a receiver with `tuning` 'augmented'",
@@ -245,8 +146,6 @@ def replay(
         raise ValueError(
             "a replay knows no world to match: give `noise` to the receiver or `noise_variance`"
         )
-    visible = np.isfinite(range_) & np.isfinite(rate)
-    visible &= np.isfinite(position).all(axis=-1) & np.isfinite(velocity).all(axis=-1)
     model = receiver.noise_model
     variance: NDArray[np.float64]
     if noise_variance is None:
@@ -259,6 +158,38 @@ def replay(
             f"`noise_variance` must be positive and of shape {(epochs, 2 * n)}, "
             f"got shape {variance.shape}",
         )
+    visible = _list_measured(recording)
+    check_recording(recording, initial, visible, variance)
+
+    def misfit_with(part: Recording, start: NavState) -> NDArray[np.float64]:
+        return _run(part, receiver, start, variance)[1]
+
+    solution, misfit, by_signal = _run(recording, receiver, initial, variance)
+    flag = flag_epochs(misfit)
+    remark = ""
+    if flag.any():
+        remark = explain_flags(misfit_with, recording, initial, flag, misfit, by_signal)
+        warnings.warn(remark, ImplausibleWarning, stacklevel=2)
+    return Solution(**solution, flag=flag, remark=remark)
+
+
+def _list_measured(recording: Recording) -> NDArray[np.bool_]:
+    range_, rate, position, velocity = (np.asarray(getattr(recording, n)) for n in MAY_BE_NAN)
+    visible = np.isfinite(range_) & np.isfinite(rate)
+    known = np.isfinite(position).all(axis=-1) & np.isfinite(velocity).all(axis=-1)
+    return np.asarray(visible & known)
+
+
+def _run(
+    recording: Recording,
+    receiver: TightlyCoupled,
+    initial: NavState,
+    variance: NDArray[np.float64],
+) -> tuple[dict[str, Any], NDArray[np.float64], NDArray[np.float64]]:
+    """Fields of the solution, (K,) mean square of the whitened innovations, -1 without any, and
+    (K, 2) those of pseudoranges and range rates alone, by their variances."""
+    range_, rate, position, velocity = (np.asarray(getattr(recording, n)) for n in MAY_BE_NAN)
+    (epochs, n), visible = range_.shape, _list_measured(recording)
     ends = recording.epoch_samples()
     imu_time = np.asarray(recording.imu_time)
     samples = [recording.specific_force_b, recording.angular_rate_b]
@@ -271,7 +202,7 @@ def replay(
     satellites[1:, :, 6] = visible
     measured = np.where(np.hstack([visible, visible]), np.hstack([range_, rate]), 0.0)
 
-    buffers = ReceiverBuffers(1, n)
+    buffers = ReceiverBuffers(1, n, ["innovation_cov"])
     load_initial(buffers, receiver, initial)
     buffers.assumed["noise_psd"] = receiver.noise_psd()
     sensors = SensorBuffers(1, n)
@@ -284,23 +215,42 @@ def replay(
     work = buffers.fields.scratch(_kernels.work_rows(n, *rules[3:].tolist()))
     given = table.entries, work, np.ones((1, 2 * n))
     solutions: list[tuple[NDArray[np.float64], ...]] = []
+    misfit, by_signal = np.full(epochs, -1.0), np.zeros((epochs, 2))
     coasting = np.zeros(epochs, dtype=np.bool_)
     fields = buffers.fields
     for k in range(epochs):
         fields["innovation"], buffers.assumed["noise_variance"] = measured[k], variance[k]
         _kernels.run_epoch(*given, _kernels.PREDICT + _kernels.SHOW)
         innovation = buffers.seen["innovation"][0].copy()
+        if visible[k].any():
+            count = 2 * visible[k].sum()
+            S = buffers.seen["innovation_cov"][0]
+            with np.errstate(over="ignore", invalid="ignore"):  # which are flagged
+                misfit[k] = _whitened_square(innovation, S) / count
+                part = innovation**2 / np.diagonal(S)
+                by_signal[k] = 2.0 * part.reshape(2, n).sum(axis=1) / count
         _kernels.run_epoch(*given, _kernels.UPDATE)
-        sd = np.sqrt(np.diagonal(buffers.covariance[0]))
+        with np.errstate(invalid="ignore"):  # a variance below 0 is NaN, which is flagged
+            sd = np.sqrt(np.diagonal(buffers.covariance[0]))
+        if not (np.isfinite(sd).all() and np.isfinite(fields["position_e"]).all()):
+            misfit[k] = np.nan
         solutions.append((*(fields[name][0] for name in _SOLVED), sd, innovation))
         coasting[k] = buffers.coasting[0]
     *solved, clock, sds, innovations = (np.array(each) for each in zip(*solutions, strict=True))
-    return Solution(
-        time=np.array(recording.gnss_time),
-        clock_bias_m=clock[:, 0].copy(),
-        clock_drift_mps=clock[:, 1].copy(),
-        coasting=coasting,
-        sd=sds,
-        innovation=innovations,
+    solution = {
+        "time": np.array(recording.gnss_time),
+        "clock_bias_m": clock[:, 0].copy(),
+        "clock_drift_mps": clock[:, 1].copy(),
+        "coasting": coasting,
+        "sd": sds,
+        "innovation": innovations,
         **dict(zip(_SOLVED, solved, strict=False)),
-    )
+    }
+    return solution, misfit, by_signal
+
+
+def _whitened_square(innovation: NDArray[np.float64], S: NDArray[np.float64]) -> float:
+    try:
+        return float(innovation @ np.linalg.solve(S, innovation))
+    except np.linalg.LinAlgError:  # S is not positive definite
+        return np.nan

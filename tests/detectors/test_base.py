@@ -13,7 +13,7 @@ from spoofgym.detectors import (
     make_detector,
 )
 from spoofgym.detectors import base as verdicts
-from spoofgym.detectors.base import UndeclaredFieldError, check_verdict, judge_epoch
+from spoofgym.detectors.base import UndeclaredFieldError, check_verdict, compare, judge_epoch
 from spoofgym.receiver.epoch import OPTIONAL, Epoch, TracedEpoch
 from spoofgym.testing import check_detector
 from spoofgym.testing.detector import list_scripts
@@ -139,3 +139,26 @@ def test_a_verdict_of_another_layout_is_sound_all_the_same():
     by_columns.statistic[2, 1] = np.nan
     with pytest.raises(ValueError, match=r"`statistic` .* got nan for receiver 2 of 5, column 1"):
         check_verdict(by_columns, detector, epoch)
+
+
+class Thresholdless(Never):
+    """Compares with a number of its own, not above 0."""
+
+    def __init__(self, limit=0.0):
+        self.limit = limit
+
+    def judge(self, epoch):
+        statistic = np.abs(epoch.innovation).max(axis=1, keepdims=True)
+        return compare(statistic, self.limit)
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, np.inf, np.nan])
+def test_a_threshold_is_above_0_since_a_calibration_multiplies_it(limit):
+    script, detector = trying_script(), Thresholdless(limit)
+    said = (
+        r"Thresholdless, epoch at .* `threshold` must be finite and above 0, got .* for receiver 0"
+    )
+    with pytest.raises(ValueError, match=said):
+        judge_epoch(bound(detector, script), epoch_of(script, 3, ()))
+    with pytest.raises(AssertionError, match=said):
+        check_detector(detector)

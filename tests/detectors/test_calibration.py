@@ -3,18 +3,23 @@
 import json
 import math
 import os
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
 from spoofgym.detectors.calibration_file import (
+    SHIPPED_FOLDER,
     STANDARD_RATES,
     Calibration,
+    Conditions,
     compute_min_runs,
     compute_rank,
+    file_name,
     hourly_rate,
     list_stored_ranks,
+    load_stored,
     round_digits_up,
     run_probability,
 )
@@ -128,12 +133,41 @@ def test_files(tmp_path):
     assert Calibration.load(saved.path) == made
     assert [path.name for path in saved.path.parent.iterdir()] == ["toy.json"]
     text = saved.path.read_text()
+    whole = json.loads(text)
+    old = {key: value for key, value in whole.items() if key != "checksum"}
+    write = lambda **changes: json.dumps(old | changes)  # noqa: E731
+    plain = tmp_path / "plain.json"
+    plain.write_text(write())
+    assert Calibration.load(plain) == made
+    ranks, largest = old["ranks"], old["largest"]
     faults = [
         ("{}", "is no calibration: it has no 'format'"),
-        (text.replace('"format":1', '"format":2'), "its format is 2, this version reads 1"),
-        (text.replace('"runs":2999', '"runs":29'), "are not in order"),
+        ("[" * 100_000, "is no calibration"),
         (text[:-20], "is no calibration"),
-        (text.replace('"largest":[2999.0', '"largest":[-1.0'), "are not in order"),
+        (text.replace('"window_s":160.0', '"window_s":161.0'), "its checksum is not that of its"),
+        (write(format=2), "its format is 2, this version reads 1"),
+        (write(runs=29), "are not in order"),
+        (write(runs=2_999_000), "must reach from rank 1 to that of all runs"),
+        (write(runs=True), "`runs` must be"),
+        (write(window_s=0.0), "`window_s` must be"),
+        (write(window_s=math.inf), "is no calibration"),
+        (write(entropy=-1), "`entropy` must be"),
+        (write(world=[]), "`world` must be settings"),
+        (write(detector={}), "`detector.name` must be a text"),
+        (write(seed_name=None), "`seed_name` must be a text"),
+        (write(bisected=1), "`bisected` must be a bool"),
+        (write(rescale=[1.0, 1.0, 0.0, 1.0]), "`rescale` must be"),
+        (write(largest=[-1.0, *largest[1:]]), "are not in order"),
+        (write(largest=largest[:-1]), "is no calibration"),
+        (write(largest=[0.01 * x for x in largest], witnesses=[[0, 0.0, 40.0]]), "do not fit"),
+        (write(largest=[100.0 * x for x in largest]), "do not fit its order statistics"),
+        (write(ranks=[1.5, *ranks[1:]]), r"at whole ranks, got 2999\..* at 1\.5"),
+        (write(ranks=[ranks[1], ranks[0], *ranks[2:]]), "are not in order"),
+        (write(largest=["2999", *largest[1:]]), "got '2999' at 1"),
+        (write(before=[[1, 0.0], [1, 0.0]]), "are not in order"),
+        (write(witnesses=[[0, 1.0, 1.0]]), "do not fit its order statistics"),
+        (write(witnesses=[[5, 0.0, 1.0]]), "`witnesses` must be runs, got 5"),
+        (write(witnesses=[]), "`witnesses` must be runs, got none"),
     ]
     path = tmp_path / "bad.json"
     for k, (bad, message) in enumerate(faults):
@@ -141,6 +175,33 @@ def test_files(tmp_path):
         os.utime(path, (k, k))
         with pytest.raises(ValueError, match=message):
             Calibration.load(path)
+
+
+def test_a_stored_calibration_is_taken_for_its_content(tmp_path):
+    made = calibration(np.arange(1.0, 3000.0))
+    here = Conditions(dict(made.world), WINDOW_S, "here", "")
+
+    def stored(conditions, *, detector=made.detector, rescaled=False, content=made):
+        content.save(tmp_path / file_name(conditions.digest, detector, rescaled))
+        return next(load_stored(conditions, detector, rescaled, tmp_path))
+
+    assert stored(here) == made
+    elsewhere = replace(here, settings={"kind": "else"}, label="there")
+    with pytest.raises(ValueError, match="else than toy in there: world kind: 'none' there, 'els"):
+        stored(elsewhere)
+    with pytest.raises(ValueError, match="detector gain: None there, 2 here"):
+        stored(here, detector={"name": "toy", "gain": 2})
+    with pytest.raises(ValueError, match="rescaled: False there, True here"):
+        stored(here, rescaled=True)
+    longer = replace(made, window_s=2.0 * WINDOW_S)
+    with pytest.raises(ValueError, match=r"must have a window of 160.0 s, got 320\.0"):
+        stored(here, content=longer)
+
+
+def test_shipped_files_have_a_checksum():
+    for path in sorted(SHIPPED_FOLDER.rglob("*.json")):
+        end = path.read_text()[-40:]
+        assert '"checksum":' in end, f"{path}: `Calibration.load(path).save(path)` adds it"
 
 
 @pytest.mark.usefixtures("default_rate")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym.core.settings import describe
-from spoofgym.receiver import replay
+from spoofgym.receiver import ImplausibleWarning, replay
 from spoofgym.receiver.matching import Motion, matched_sensors
 from spoofgym.simulation import LooselyCoupledSetup, TightlyCoupledSetup
 from spoofgym.simulation.recording import record_run
@@ -80,7 +80,8 @@ def test_the_samples_have_the_wandering_biases_in_them_and_a_recording_has_them_
     assert np.ptp(apart.reshape(20, 10, 3), axis=1).max() <= 2.1 * level
     assert apart.reshape(20, 10, 3).mean(axis=1).std() > 0.3
     assert np.ptp(recording.angular_rate_b - without.angular_rate_b) < 1.0
-    solution = replay(recording, setup.receiver, initial=initial)
+    with pytest.warns(ImplausibleWarning, match="epochs are flagged"):  # 1 m/s^2 that wanders
+        solution = replay(recording, setup.receiver, initial=initial)
     np.testing.assert_array_equal(solution.position_e, position_e)
 
 

@@ -1,0 +1,390 @@
+"""Whether a recording can be, before its replay; whether its innovations fit the filter, after.
+
+`check_recording` refuses what no receiver on or above the Earth measures, and names the likeliest
+cause.  `flag_epochs` marks epochs, and `explain_flags` repeats the start of the replay with one
+common mistake at a time undone: the likeliest cause is the one whose innovations fit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.registry import require
+from ..earth.wgs84 import (
+    DEGREE,
+    EARTH_RATE,
+    GRAVITATIONAL_CONSTANT,
+    SPEED_OF_LIGHT,
+    STANDARD_GRAVITY,
+    dcm_e_from_n,
+    ecef_to_geodetic,
+)
+from .recording import Recording
+from .tight import NavState
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+RECEIVER_RADII = 6.3e6, 5e7  # distances from the Earth's centre [m]
+SATELLITE_RADII = 6.5e6, 1e8
+OPAQUE_RADIUS = 6.33e6  # a signal passes no nearer to the Earth's centre, refraction included [m]
+FASTEST = 12_000.0  # of any receiver or satellite [m/s]
+LARGEST_FORCE = 1e6  # that any sensor survives [m/s^2]
+RANGE_SPREAD, SPREAD_RATE = 1e6, 8_000.0  # of what geometry leaves of ranges [m], its growth [m/s]
+SMALLEST_SD = 1e-4  # of a range [m] or a range rate [m/s], below those of carrier phases
+CLOCK_STEP = 1e-3 * SPEED_OF_LIGHT  # that receivers put their clocks right by [m]
+BEYOND, SUSTAINED, AT_ONCE = 100.0, 5, 1e4
+"""Mean square of whitened innovations that is a fault over so many epochs, and over one."""
+MISFIT, WINDOW = 9.0, 20
+"""Mean of it over a window from which on standard deviations do not fit."""
+LEAP_SECONDS = 18.0  # between GPS time and UTC since 2017
+TRIED_EPOCHS = 600
+
+
+class ImplausibleWarning(UserWarning):
+    """A replay's innovations are not what its filter believes, or its solution is not finite."""
+
+
+def check_recording(
+    recording: Recording, initial: NavState, visible: Bools, variance: Floats
+) -> None:
+    """Raise a ValueError that names the likeliest cause where a recording can't be. `visible`
+    (K, n) what is measured; `variance` (K, 2n) of its noise."""
+    _check_start(initial)
+    _check_force(recording, initial)
+    both = np.hstack([visible, visible])
+    low = both & ~((variance >= SMALLEST_SD**2) & np.isfinite(variance))
+    for k, j in np.argwhere(low)[:1]:
+        raise ValueError(
+            f"a noise variance must be finite and at least {SMALLEST_SD**2:g}, got "
+            f"{variance[k, j]:g} in column {j} at {_time(recording, k)}"
+        )
+    if visible.any():
+        _check_absent(recording, visible)
+        _check_satellites(recording, initial, visible)
+        _check_ranges(recording, initial, visible)
+        _check_rates(recording, visible)
+
+
+def _time(recording: Recording, epoch: int) -> str:
+    return f"{np.asarray(recording.gnss_time)[epoch]:g} s"
+
+
+def _check_start(initial: NavState) -> None:
+    position, C = np.asarray(initial.position_e), np.asarray(initial.C_eb)
+    radius, speed = float(np.linalg.norm(position)), float(np.linalg.norm(initial.velocity_e))
+    if not RECEIVER_RADII[0] <= radius <= RECEIVER_RADII[1]:
+        degrees = abs(position[0]) <= 90.0 and abs(position[1]) <= 360.0
+        cause = "is it latitude, longitude and height" if degrees else "is it in km"
+        raise ValueError(
+            f"`initial.position_e` must be ECEF in m, {RECEIVER_RADII[0]:g} to "
+            f"{RECEIVER_RADII[1]:g} from the Earth's centre, got {position.tolist()} ({cause}?)"
+        )
+    require(
+        speed <= FASTEST,
+        f"`initial.velocity_e` must be at most {FASTEST:g} m/s, got {speed:g} (which unit has it?)",
+    )
+    off = float(np.abs(C @ C.T - np.eye(3)).max())
+    require(
+        off < 0.05 and np.linalg.det(C) > 0.0,
+        "`initial.C_eb` must be a rotation to ECEF from body axes, got one with "
+        f"|C C' - I| = {off:.3g} and determinant {np.linalg.det(C):.3g}",
+    )
+
+
+def _check_force(recording: Recording, initial: NavState) -> None:
+    """Unit and direction of the specific force: on average it holds against gravity."""
+    force = np.asarray(recording.specific_force_b)
+    require(
+        np.abs(force).max() < LARGEST_FORCE,
+        f"`specific_force_b` must be below {LARGEST_FORCE:g} m/s^2, got {np.abs(force).max():g}",
+    )
+    size = float(np.median(np.linalg.norm(force, axis=1)))
+    require(
+        not 0.8 < size < 1.25,
+        f"`specific_force_b` must be in m/s^2, got a median of {size:.3g} (is it in g?)",
+    )
+    early = np.asarray(recording.imu_time) <= 1.0
+    first, C = force[early].mean(axis=0), np.asarray(initial.C_eb)
+    up = np.asarray(initial.position_e) / np.linalg.norm(initial.position_e)
+
+    def upward(C: Floats) -> float:
+        return float(up @ C @ first / np.linalg.norm(first))
+
+    if np.linalg.norm(first) > 0.5 * STANDARD_GRAVITY and (found := upward(C)) < 0.26:
+        cause = "are attitude and axes right"
+        if upward(C.T) > 0.9:
+            cause = "is `C_eb` transposed"
+        elif upward(_local_axes(initial) @ C) > 0.9:
+            cause = "is `C_eb` an attitude to local axes, north, east and down"
+        elif found < -0.5:
+            cause = "is its sign that of gravity"
+        raise ValueError(
+            "`initial.C_eb` and `specific_force_b` must hold the receiver against gravity: at rest "
+            f"9.8 m/s^2 upwards, got {np.degrees(np.arccos(found)):.0f} deg from there in the "
+            f"first second ({cause}?)"
+        )
+
+
+def _local_axes(initial: NavState) -> Floats:
+    latitude, longitude, _ = ecef_to_geodetic(np.asarray(initial.position_e))
+    return np.asarray(dcm_e_from_n(latitude, longitude))
+
+
+def _check_absent(recording: Recording, visible: Bools) -> None:
+    measured = int(visible.sum())
+    for name, most in (("pseudorange", 0), ("range_rate", max(2, measured // 1000))):
+        zero = visible & (np.asarray(getattr(recording, name)) == 0.0)
+        if zero.sum() > most:
+            k, j = np.argwhere(zero)[0]
+            raise ValueError(
+                f"`{name}` must be NaN where a channel has no measurement, got 0.0 in {zero.sum()} "
+                f"of {measured} places, first in channel {j} at {_time(recording, k)}"
+            )
+
+
+def _check_satellites(recording: Recording, initial: NavState, visible: Bools) -> None:
+    s, r = np.asarray(recording.satellite_position_e), np.asarray(initial.position_e)
+    radius = np.linalg.norm(s, axis=-1)
+    for name, speed in (
+        ("satellite_velocity_e", np.linalg.norm(recording.satellite_velocity_e, axis=-1)),
+        ("range_rate", np.abs(recording.range_rate)),
+    ):
+        for k, j in np.argwhere(visible & ~(speed <= 2.0 * FASTEST))[:1]:
+            raise ValueError(
+                f"`{name}` must be at most {2.0 * FASTEST:g} m/s, got {speed[k, j]:g} in channel "
+                f"{j} at {_time(recording, k)} (which unit has it?)"
+            )
+    with np.errstate(invalid="ignore"):
+        wrong = visible & ~((radius >= SATELLITE_RADII[0]) & (radius <= SATELLITE_RADII[1]))
+        sight = s - r
+        along = sight @ r
+        nearest = np.sqrt(np.maximum(r @ r - along**2 / (sight**2).sum(axis=-1), 0.0))
+        hidden = visible & (along < 0.0) & (nearest < OPAQUE_RADIUS)
+    for k, j in np.argwhere(wrong)[:1]:
+        cause = " (are they in km?)" if 1e3 * radius[k, j] > SATELLITE_RADII[0] else ""
+        raise ValueError(
+            f"`satellite_position_e` must be ECEF in m, {SATELLITE_RADII[0]:g} to "
+            f"{SATELLITE_RADII[1]:g} from the Earth's centre, got {radius[k, j]:g} in channel {j} "
+            f"at {_time(recording, k)}{cause}"
+        )
+    # later the receiver may be elsewhere
+    hidden[np.asarray(recording.gnss_time) > 60.0] = False
+    for k, j in np.argwhere(hidden)[:1]:
+        raise ValueError(
+            f"the satellite in channel {j} at {_time(recording, k)} must be above the horizon of "
+            "`initial.position_e`, but the Earth is between them (is it the right satellite, and "
+            "the right time of its orbit?)"
+        )
+
+
+def _check_ranges(recording: Recording, initial: NavState, visible: Bools) -> None:
+    """Ranges less geometry are the receiver's clock, and alike but for satellite clocks."""
+    time, r = np.asarray(recording.gnss_time), np.asarray(initial.position_e)
+    distance = np.linalg.norm(np.asarray(recording.satellite_position_e) - r, axis=-1)
+    ranges = np.asarray(recording.pseudorange)
+    rows = np.flatnonzero(visible.sum(axis=1) > 2)
+
+    def spread(factor: float) -> Floats:
+        left = np.where(visible, factor * ranges - distance, np.nan)[rows]
+        return np.asarray(np.abs(left - np.nanmedian(left, axis=1, keepdims=True)))
+
+    allowed = RANGE_SPREAD + SPREAD_RATE * time[rows, None]
+    found = spread(1.0)
+    for row, j in np.argwhere(found > allowed)[:1]:
+        k = rows[row]
+        cause = "do ranges, satellites and their times belong together"
+        for unit, factor in (("km", 1e3), ("s", SPEED_OF_LIGHT), ("ms", CLOCK_STEP)):
+            if np.nanmax(spread(factor)[row]) < RANGE_SPREAD:
+                cause = f"are they in {unit}"
+        if np.nanmedian(found[row]) < RANGE_SPREAD:
+            cause = "is it the mark of an absent measurement, which is NaN here"
+        raise ValueError(
+            f"`pseudorange` of {ranges[k, j]:g} in channel {j} at {_time(recording, k)} differs by "
+            f"{found[row, j]:.3g} m from what the other channels and the satellite's position "
+            f"leave for it ({cause}?)"
+        )
+
+
+def _check_rates(recording: Recording, visible: Bools) -> None:
+    """The change of a range is the integral of its rate, whatever the receiver does."""
+    time, rate = np.asarray(recording.gnss_time), np.asarray(recording.range_rate)
+    step = np.diff(time)[:, None]
+    pairs = visible[1:] & visible[:-1] & (step <= 60.0)
+    change = np.where(pairs, np.diff(np.asarray(recording.pseudorange), axis=0), np.nan)
+    mean = 0.5 * (rate[1:] + rate[:-1])
+    rows = np.flatnonzero(pairs.sum(axis=1) > 2)
+    common = np.nanmedian((change - mean * step)[rows], axis=1)
+    steps = np.round(common / CLOCK_STEP)
+    for row in np.flatnonzero((steps != 0) & (np.abs(common - steps * CLOCK_STEP) < 1e3))[:1]:
+        raise ValueError(
+            f"all pseudoranges jump by {common[row]:.0f} m at {_time(recording, rows[row] + 1)}, "
+            f"{steps[row]:g} ms of the receiver's clock: take its jumps out of the pseudoranges"
+        )
+    fast = pairs & (np.abs(mean) > 50.0)
+    if fast.sum() < 10:
+        return
+    ratio = (change / step)[fast] / mean[fast]
+    slope = float(np.median(ratio))
+    scatter = 1.5 * float(np.median(np.abs(ratio - slope))) / np.sqrt(ratio.size)
+    if abs(slope - 1.0) > max(0.5, 5.0 * scatter):
+        cause = "which unit has it"
+        if abs(slope + 1.0) < 0.3:
+            cause = "is it Doppler's sign, positive where the satellite comes nearer"
+        elif 0.15 < -slope < 0.3:
+            cause = "is it a Doppler shift in Hz"
+        raise ValueError(
+            "`range_rate` must be the rate at which the pseudorange grows, in m/s, but the "
+            f"pseudoranges grow by {slope:.3g} times as much ({cause}?)"
+        )
+
+
+def flag_epochs(misfit: Floats) -> NDArray[np.str_]:
+    """Flags (K,) of epochs: "" where nothing is wrong, "not finite", "innovations" far beyond their
+    covariance, or "sd" where standard deviations do not fit. `misfit` (K,) mean square of the
+    whitened innovations, -1 without a measurement."""
+    flag = np.full(misfit.shape, "", dtype="<U11")
+    measured = np.flatnonzero(np.isfinite(misfit) & (misfit >= 0.0))
+    value = misfit[measured]
+    sums = np.cumsum(np.insert(value, 0, 0.0))
+    mean = (sums[1:] - sums[np.maximum(np.arange(len(value)) + 1 - WINDOW, 0)]) / WINDOW
+    flag[measured[mean > MISFIT]] = "sd"
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], value > BEYOND, [False]])))
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - first >= SUSTAINED:
+            flag[measured[first:end]] = "innovations"
+    flag[misfit > AT_ONCE] = "innovations"
+    flag[~np.isfinite(misfit)] = "not finite"
+    return flag
+
+
+class _Mistake(NamedTuple):
+    words: str
+    undo: Callable[[Recording, NavState], tuple[dict[str, Any], dict[str, Any]]]
+
+
+def _shift(recording: Recording, elapsed: Any) -> dict[str, Any]:
+    """Satellites a little later on their orbits; `elapsed` (K, n) or a number [s]."""
+    s, v = (np.asarray(getattr(recording, f"satellite_{x}_e")) for x in ("position", "velocity"))
+    t, turn = np.asarray(elapsed)[..., None], np.array([0.0, 0.0, EARTH_RATE])
+    with np.errstate(invalid="ignore"):  # where none is
+        pull = -GRAVITATIONAL_CONSTANT * s / np.linalg.norm(s, axis=-1, keepdims=True) ** 3
+    acceleration = pull - 2.0 * np.cross(turn, v) - np.cross(turn, np.cross(turn, s))
+    return {
+        "satellite_position_e": s + v * t + 0.5 * acceleration * t * t,
+        "satellite_velocity_e": v + acceleration * t,
+    }
+
+
+def _without_offsets(recording: Recording, initial: NavState) -> dict[str, Any]:
+    """Every channel without what geometry and the receiver's clock leave of its first range."""
+    ranges, s = np.asarray(recording.pseudorange), np.asarray(recording.satellite_position_e)
+    moved = np.asarray(recording.gnss_time)[:, None] * np.asarray(initial.velocity_e)
+    r = (initial.position_e + moved)[:, None]
+    sagnac = EARTH_RATE / SPEED_OF_LIGHT * (s[..., 0] * r[..., 1] - s[..., 1] * r[..., 0])
+    clock = initial.clock_bias_m + initial.clock_drift_mps * np.asarray(recording.gnss_time)
+    left = ranges - np.linalg.norm(s - r, axis=-1) - sagnac - clock[:, None]
+    first = np.argmax(np.isfinite(left), axis=0)
+    return {"pseudorange": ranges - left[first, np.arange(left.shape[1])]}
+
+
+MISTAKES = (
+    _Mistake(
+        "`angular_rate_b` is in deg/s",
+        lambda x, _: ({"angular_rate_b": DEGREE * np.asarray(x.angular_rate_b)}, {}),
+    ),
+    _Mistake("`C_eb` is transposed", lambda _, start: ({}, {"C_eb": np.asarray(start.C_eb).T})),
+    _Mistake(
+        "`C_eb` is an attitude to local axes, north, east and down",
+        lambda _, start: ({}, {"C_eb": _local_axes(start) @ np.asarray(start.C_eb)}),
+    ),
+    _Mistake(
+        "satellites are where they were 18 leap seconds before (UTC for GPS time)",
+        lambda x, _: (_shift(x, LEAP_SECONDS), {}),
+    ),
+    _Mistake(
+        "satellites are where they will be 18 leap seconds after",
+        lambda x, _: (_shift(x, -LEAP_SECONDS), {}),
+    ),
+    _Mistake(
+        "satellites are where they are when a signal arrives, not when it leaves them",
+        lambda x, _: (_shift(x, np.asarray(x.pseudorange) / -SPEED_OF_LIGHT), {}),
+    ),
+    _Mistake(
+        "the satellites' clocks were not taken out of the pseudoranges",
+        lambda x, start: (_without_offsets(x, start), {}),
+    ),
+)
+
+
+def explain_flags(
+    misfit_with: Callable[[Recording, NavState], Floats],
+    recording: Recording,
+    initial: NavState,
+    flag: NDArray[np.str_],
+    misfit: Floats,
+    by_signal: Floats,
+) -> str:
+    """Sentence about flagged epochs, with the likeliest cause. `misfit_with`: of a start of the
+    recording; `by_signal` (K, 2) mean squares of pseudoranges and range rates alone."""
+    flagged = np.flatnonzero(flag)
+    first = int(flagged[0])
+    finite = misfit[flagged][np.isfinite(misfit[flagged])]
+    times = f"{np.sqrt(np.median(finite)):.3g} times" if finite.size else "beyond all bounds of"
+    head = _cut(recording, min(first + WINDOW, len(flag), TRIED_EPOCHS))
+    cause = _blame_signal(by_signal[flagged])
+    if first < TRIED_EPOCHS:
+        before = _typical(misfit[: len(np.asarray(head.gnss_time))])
+        after = {words: _typical(found) for words, found in _undone(misfit_with, head, initial)}
+        best = min(after, key=lambda words: after[words])
+        if after[best] < min(MISFIT, 0.1 * before):
+            cause = best
+    return (
+        f"{len(flagged)} of {len(flag)} epochs are flagged, first {str(flag[first])!r} at "
+        f"{_time(recording, first)}: innovations are {times} what the filter believes; the "
+        f"likeliest cause: {cause}"
+    )
+
+
+def _undone(
+    misfit_with: Callable[[Recording, NavState], Floats], head: Recording, initial: NavState
+) -> Iterator[tuple[str, Floats]]:
+    for words, undo in MISTAKES:
+        changed, start = undo(head, initial)
+        again = dataclasses.replace(initial, **start)
+        yield words, misfit_with(dataclasses.replace(head, **changed), again)
+
+
+def _typical(misfit: Floats) -> float:
+    """Median over all measured epochs; infinity where one is not finite."""
+    measured = misfit[~(misfit < 0.0)]
+    sound = measured.size and np.isfinite(measured).all()
+    return float(np.median(measured)) if sound else np.inf
+
+
+def _cut(recording: Recording, epochs: int) -> Recording:
+    samples = int(recording.epoch_samples()[epochs - 1])
+    sizes = {field.name: epochs for field in dataclasses.fields(recording)}
+    sizes |= dict.fromkeys(("imu_time", "specific_force_b", "angular_rate_b"), samples)
+    cut = {name: np.asarray(getattr(recording, name))[:size] for name, size in sizes.items()}
+    return dataclasses.replace(recording, **cut)
+
+
+def _blame_signal(by_signal: Floats) -> str:
+    finite = by_signal[np.isfinite(by_signal).all(axis=1)]
+    ranges, rates = np.median(finite, axis=0) if len(finite) else (np.inf, np.inf)
+    if ranges > 10.0 * rates:
+        return (
+            "something in the pseudoranges alone: satellite clocks, times of the orbits, a jump of "
+            "the receiver's clock, or an attack"
+        )
+    if rates > 10.0 * ranges:
+        return "something in the range rates alone: their noise, the satellites' velocities"
+    return (
+        "attitude, inertial samples or their time base do not belong to the measurements, or their "
+        "noise is larger than the filter's"
+    )

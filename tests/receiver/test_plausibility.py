@@ -1,0 +1,257 @@
+"""A replay refuses what no receiver measures, flags what does not fit, and names the mistake."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from spoofgym.earth.wgs84 import SPEED_OF_LIGHT, dcm_e_from_n, ecef_to_geodetic
+from spoofgym.earth.wgs84 import range_and_rate as range_and_rate_from
+from spoofgym.receiver import ImplausibleWarning, NavState, Recording, TightlyCoupled, replay
+from spoofgym.receiver.plausibility import flag_epochs
+from spoofgym.truth.flight import inverse_kinematics
+from spoofgym.truth.manoeuvres import Straight, Turn, fly
+from spoofgym.truth.satellites import CircularConstellation
+
+N, RATE = 9, 50
+SATELLITES = CircularConstellation(satellites=30)
+RECEIVER = TightlyCoupled(grade="tactical")
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A recording of a turning flight, its initial state, times and chosen satellites."""
+    flight = inverse_kinematics(
+        fly(
+            [Straight(4.0), Turn(80.0, bank_deg=30.0), Straight(30.0)],
+            latitude_deg=-35.0,
+            longitude_deg=149.0,
+            height_m=900.0,
+            speed_mps=60.0,
+            heading_deg=250.0,
+            rate_hz=float(RATE),
+        )
+    )
+    ends = np.arange(RATE, len(flight.time), RATE)
+    time, rng = flight.time[ends], np.random.default_rng(8)
+    sky = SATELLITES.states(time)
+    up = flight.position_e[0] / np.linalg.norm(flight.position_e[0])
+    sight = sky.position_e[0] - flight.position_e[0]
+    chosen = np.argsort(-(sight @ up) / np.linalg.norm(sight, axis=1))[:N]
+    position, velocity = sky.position_e[:, chosen], sky.velocity_e[:, chosen]
+    exact = np.array(
+        [
+            [
+                range_and_rate_from(
+                    position[k, j], velocity[k, j], flight.position_e[e], flight.velocity_e[e]
+                )[:2]
+                for j in range(N)
+            ]
+            for k, e in enumerate(ends)
+        ]
+    )
+    recording = Recording(
+        imu_time=flight.time[1:],
+        specific_force_b=flight.specific_force_b + rng.normal(0.0, 0.01, (len(flight.time) - 1, 3)),
+        angular_rate_b=flight.angular_rate_b + rng.normal(0.0, 1e-4, (len(flight.time) - 1, 3)),
+        gnss_time=time,
+        pseudorange=exact[..., 0]
+        + 800.0
+        + 20.0 * time[:, None]
+        + rng.normal(0.0, 2.0, (len(time), N)),
+        range_rate=exact[..., 1] + 20.0 + rng.normal(0.0, 0.08, (len(time), N)),
+        satellite_position_e=position,
+        satellite_velocity_e=velocity,
+    )
+    initial = NavState(
+        position_e=flight.position_e[0] + 2.0,
+        velocity_e=flight.velocity_e[0] + 0.03,
+        C_eb=flight.C_eb[0],
+        clock_bias_m=803.0,
+        clock_drift_mps=20.1,
+    )
+    return recording, initial, chosen
+
+
+def put(array, where, value):
+    array = np.array(array)
+    array[where] = value
+    return array
+
+
+def test_a_sound_recording_is_neither_refused_nor_flagged(flown):
+    recording, initial, _ = flown
+    solution = replay(recording, RECEIVER, initial=initial)
+    assert not solution.flag.any()
+    assert solution.remark == ""
+    # for a while without satellites, and with one range 60 m too long
+    ranges = put(np.array(recording.pseudorange), (slice(10, 14),), np.nan)
+    ranges[20, 3] += 60.0
+    gap = replay(replace(recording, pseudorange=ranges), RECEIVER, initial=initial)
+    assert not gap.flag.any()
+
+
+REFUSED = {
+    "absent as 0": (
+        lambda r: {"pseudorange": put(r.pseudorange, (5, 2), 0.0)},
+        "must be NaN .*0.0",
+    ),
+    "absent as -1": (
+        lambda r: {"pseudorange": put(r.pseudorange, (5, 2), -1.0)},
+        "mark of an abse",
+    ),
+    "absent rates": (
+        lambda r: {"range_rate": put(r.range_rate, (slice(9), 4), 0.0)},
+        "`range_rate` must be NaN .* got 0.0 in 9 ",
+    ),
+    "ranges in km": (lambda r: {"pseudorange": r.pseudorange / 1e3}, r"\(are they in km\?\)"),
+    "ranges in s": (lambda r: {"pseudorange": r.pseudorange / SPEED_OF_LIGHT}, r"in s\?\)"),
+    "other satellites": (
+        lambda r: {"satellite_position_e": r.satellite_position_e[:, ::-1]},
+        "belong together",
+    ),
+    "below ground": (
+        lambda r: {"satellite_position_e": put(r.satellite_position_e, (3, 1), [6e6, 0.0, 0.0])},
+        "6e.06 in channel 1 at 4 s",
+    ),
+    "below the horizon": (
+        lambda r: {"satellite_position_e": put(r.satellite_position_e, (3, 1), [2e7, 0.0, 1.7e7])},
+        "the Earth is between them",
+    ),
+    "satellites in km": (
+        lambda r: {"satellite_position_e": r.satellite_position_e / 1e3},
+        "are they in km",
+    ),
+    "g": (lambda r: {"specific_force_b": r.specific_force_b / 9.8}, "is it in g"),
+    "gravity": (lambda r: {"specific_force_b": -r.specific_force_b}, "is its sign that of gravity"),
+    "Doppler": (lambda r: {"range_rate": -r.range_rate}, "is it Doppler's sign"),
+    "Hz": (lambda r: {"range_rate": -r.range_rate / 0.1903}, "is it a Doppler shift in Hz"),
+    "1 ms": (
+        lambda r: {
+            "pseudorange": r.pseudorange
+            + 1e-3 * SPEED_OF_LIGHT * (np.arange(len(r.gnss_time)) > 20)[:, None]
+        },
+        "jump by 2997.* m at 22 s, 1 ms of the receiver's clock",
+    ),
+    "time base": (
+        lambda r: {"imu_time": r.imu_time + 10.0, "gnss_time": r.gnss_time + 10.0},
+        r"ends at 10.02 s lasts 10.02 s \(is time zero",
+    ),
+    "a gap": (
+        lambda r: {
+            "imu_time": r.imu_time + 30.0 * (r.imu_time > 10.0),
+            "gnss_time": r.gnss_time + 30.0 * (r.gnss_time > 10.0),
+        },
+        "lasts 30.02 s .*one by one",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_no_receiver_measures_is_refused_with_its_likeliest_cause(flown, name):
+    recording, initial, _ = flown
+    change, said = REFUSED[name]
+    with pytest.raises(ValueError, match=said):
+        replay(replace(recording, **change(recording)), RECEIVER, initial=initial)
+
+
+STARTS = {
+    "degrees": ({"position_e": [-35.0, 149.0, 900.0]}, "latitude, longitude and height"),
+    "km": ({"position_e": lambda x: x / 1e3}, r"\(is it in km\?\)"),
+    "speed": ({"velocity_e": lambda x: x * 1e3}, "at most 12000 m/s"),
+    "no rotation": ({"C_eb": lambda C: 2.0 * C}, r"must be a rotation .* \|C C' - I\| = 3"),
+    "mirrored": ({"C_eb": lambda C: C * [1.0, -1.0, 1.0]}, "determinant -1"),
+    "upside down": ({"C_eb": lambda C: C * [1.0, -1.0, -1.0]}, r"sign that of gravity\?"),
+}
+
+
+@pytest.mark.parametrize("name", STARTS)
+def test_an_initial_state_that_cannot_be_is_refused(flown, name):
+    recording, initial, _ = flown
+    changes, said = STARTS[name]
+    made = {
+        key: value(getattr(initial, key)) if callable(value) else value
+        for key, value in changes.items()
+    }
+    with pytest.raises(ValueError, match=said):
+        replay(recording, RECEIVER, initial=replace(initial, **made))
+
+
+@pytest.mark.parametrize("variance", [1e-300, np.inf])
+def test_noise_that_no_receiver_has_is_refused(flown, variance):
+    recording, initial, _ = flown
+    noise = np.tile(np.repeat([4.0, 0.01], N), (len(recording.gnss_time), 1))
+    with pytest.raises(ValueError, match="noise variance must be finite and at least 1e-08, got"):
+        replay(recording, RECEIVER, initial=initial, noise_variance=put(noise, (7, 3), variance))
+
+
+def moved(recording, chosen, shift):
+    """Satellites at other times, `shift` a number or (K, n) [s]."""
+    times = np.broadcast_to(recording.gnss_time[:, None] + shift, recording.pseudorange.shape)
+    columns = [SATELLITES.states(times[:, j]) for j in range(N)]
+    pairs = list(zip(columns, chosen, strict=True))
+    return {
+        "satellite_position_e": np.stack([sky.position_e[:, c] for sky, c in pairs], axis=1),
+        "satellite_velocity_e": np.stack([sky.velocity_e[:, c] for sky, c in pairs], axis=1),
+    }
+
+
+FLAGGED = {
+    "deg/s": (lambda r, c: {"angular_rate_b": np.degrees(r.angular_rate_b)}, "is in deg/s"),
+    "UTC": (lambda r, c: moved(r, c, -18.0), "18 leap seconds before"),
+    "UTC twice": (lambda r, c: moved(r, c, 18.0), "18 leap seconds after"),
+    "local axes": (lambda r, c: {}, "attitude to local axes"),
+    "satellite clocks": (
+        lambda r, c: {"pseudorange": r.pseudorange + np.linspace(-9e4, 2e5, N)},
+        "the satellites' clocks were not taken out",
+    ),
+    "arrival": (lambda r, c: moved(r, c, r.pseudorange / SPEED_OF_LIGHT), "when a signal arrives"),
+    "lone ranges": (
+        lambda r, c: {
+            "pseudorange": r.pseudorange
+            + 4e3
+            * np.random.default_rng(0).normal(size=(1, N))
+            * (np.arange(len(r.gnss_time)) > 25)[:, None]
+        },
+        "something in the pseudoranges alone",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FLAGGED)
+def test_what_does_not_fit_is_flagged_with_its_likeliest_cause(flown, name):
+    recording, initial, chosen = flown
+    change, said = FLAGGED[name]
+    wrong = replace(recording, **change(recording, chosen))
+    if name == "local axes":
+        C_en = dcm_e_from_n(*ecef_to_geodetic(initial.position_e)[:2])
+        initial = replace(initial, C_eb=C_en.T @ initial.C_eb)
+    with pytest.warns(ImplausibleWarning, match=said):
+        solution = replay(wrong, RECEIVER, initial=initial)
+    assert said in solution.remark
+    assert (solution.flag != "").mean() > 0.2
+
+
+def test_a_filter_that_is_not_a_number_is_flagged(flown):
+    recording, initial, _ = flown
+    with pytest.warns(ImplausibleWarning, match="53 of 53 epochs .* first 'not finite' at 1 s"):
+        solution = replay(recording, RECEIVER, initial=replace(initial, clock_bias_m=1e300))
+    assert (solution.flag == "not finite").all()
+
+
+def test_flags_are_those_of_their_epochs():
+    misfit = np.ones(60)
+    misfit[[3, 4]] = 150.0, -1.0  # one outlier, one epoch without a measurement
+    assert not flag_epochs(misfit).any()
+    misfit = np.ones(60)
+    misfit[30:36], misfit[50] = 150.0, np.nan
+    flag = flag_epochs(misfit)
+    assert (flag[30:36] == "innovations").all()
+    assert (flag[36:49] == "sd").all()
+    assert flag[56:].tolist() == [""] * 4
+    assert flag[50] == "not finite"
+    assert not flag[:30].any()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert flag_epochs(np.array([np.inf, 2e4])).tolist() == ["not finite", "innovations"]
