@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from typing import Any
 
 import numpy as np
+import torch
+import tyro
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
+from agents.folder import write_json
+from spoofgym.core.progress import show_progress
 from spoofgym.envs.core import SpoofCore
 from spoofgym.envs.terms.reward import default_rewards
 from spoofgym.sb3 import SpoofVecEnv
@@ -84,6 +88,25 @@ def set_price(envs: SpoofVecEnv, price: float) -> None:
     core = envs.core
     if core.settings["reward"] is None:
         envs.set_rewards(default_rewards(price * core.length_m))
+
+
+def run_training(
+    kind: type,
+    text: str | None,
+    play: Callable[..., Any],
+    build_table: Callable[[Any], str],
+    list_plan: Callable[[Any], Iterable[str]] = lambda _: (),
+) -> None:
+    """The command of a training with `kind` of settings: its plan, where this is all that is asked,
+    or its results, to a file and as a table."""
+    settings = tyro.cli(kind, description=text)
+    if getattr(settings, "list", False):
+        print(*list_plan(settings), sep="\n")
+        return
+    torch.set_num_threads(1)
+    results = play(settings, show_progress)
+    write_json(settings.out / "results.json", results)
+    print(build_table(results))
 
 
 def learn(model: BaseAlgorithm, steps: int, **how: Any) -> str | None:

@@ -13,18 +13,17 @@ kill the same command goes on with the seed that was learning.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-import torch
-import tyro
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.folder import Part, Records, error_lines, learning_versions, write_json
-from agents.learning import learn
+from agents.folder import Part, Records, error_lines, learning_versions
+from agents.learning import learn, run_training
 from agents.seeds import format_range
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import Table, interval
@@ -32,7 +31,7 @@ from spoofgym.bench.runs.record import MEASURES
 from spoofgym.bench.scores.at_budget import AlarmCurve, ratio_at_budget
 from spoofgym.bench.scores.statistics import BUDGET
 from spoofgym.bench.search.amplitude import EXACT
-from spoofgym.core.progress import ProgressBar, show_progress
+from spoofgym.core.progress import ProgressBar
 from spoofgym.core.registry import check_choice
 from spoofgym.sb3 import SpoofVecEnv
 
@@ -155,18 +154,16 @@ def build_table(results: dict[str, Any]) -> str:
     return Table.of_texts(*HEAD).markdown(lines)
 
 
+def list_plan(settings: Settings) -> Iterator[str]:
+    """What is trained, and its CPU minutes."""
+    each = MINUTES * settings.steps / 300_000
+    for case in settings.cases:
+        yield f"{case}: {len(settings.seeds)} seeds, about {each:.1f} CPU minutes each"
+
+
 @error_lines()
 def main() -> None:
-    settings = tyro.cli(Settings, description=__doc__)
-    if settings.list:
-        each = MINUTES * settings.steps / 300_000
-        for case in settings.cases:
-            print(f"{case}: {len(settings.seeds)} seeds, about {each:.1f} CPU minutes each")
-        return
-    torch.set_num_threads(1)
-    results = play(settings, show_progress)
-    write_json(settings.out / "results.json", results)
-    print(build_table(results))
+    run_training(Settings, __doc__, play, build_table, list_plan)
 
 
 if __name__ == "__main__":

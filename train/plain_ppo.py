@@ -16,18 +16,16 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import torch
-import tyro
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.folder import Part, Records, error_lines, learning_versions, write_json
-from agents.learning import learn
+from agents.folder import Part, Records, error_lines, learning_versions
+from agents.learning import learn, run_training
 from agents.seeds import KIND_HEAD, LOUDEST, kind_cells
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import Table
 from spoofgym.bench.scores.spoofer import SpooferScore
-from spoofgym.core.progress import ProgressBar, show_progress
+from spoofgym.core.progress import ProgressBar
 from spoofgym.core.registry import check_choice, whole_number
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 
@@ -127,11 +125,7 @@ def build_table(results: dict[str, Any]) -> str:
 
 @error_lines()
 def main() -> None:
-    settings = tyro.cli(Settings, description=__doc__)
-    torch.set_num_threads(1)
-    results = play(settings, show_progress)
-    write_json(settings.out / "results.json", results)
-    print(build_table(results))
+    run_training(Settings, __doc__, play, build_table)
 
 
 if __name__ == "__main__":
