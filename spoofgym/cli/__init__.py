@@ -7,19 +7,20 @@ from .app import INTERRUPTED as INTERRUPTED
 from .app import app as app
 from .app import clear_errors as clear_errors
 from .app import main as main
+from .audit import audit_
 from .bench import bench, report
 from .calibrate import calibrate
 from .dataset import dataset
 from .game import game
 from .limits import limits
 from .list import card, list_, tasks
-from .protect import protect
 from .run import render, run
 from .tune import tune
 from .warmup import warmup
 
 # in the order of the help page
 app.command("list")(clear_errors(list_))
+app.command("audit")(clear_errors(audit_))
 for _command in (
     card,
     calibrate,
@@ -27,7 +28,6 @@ for _command in (
     render,
     tune,
     bench,
-    protect,
     game,
     limits,
     dataset,
