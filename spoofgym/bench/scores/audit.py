@@ -89,39 +89,30 @@ class AgeProbe(NamedTuple):
         return found
 
     def warn(self) -> Iterator[str]:
-        """Blind after some age, or less and less able to find an attack."""
-        shares = [self.estimate_share(k) for k in range(len(self.age_s))]
-        known = [k for k, each in enumerate(shares) if not math.isnan(each.value)]
-        if not known:
-            return
-        best = max(known, key=lambda k: shares[k].value)
+        """That it finds much less, or nothing, at some greater age."""
+        shares = [self.estimate_share(k).value for k in range(len(self.age_s))]
+        known = [k for k, share in enumerate(shares) if not math.isnan(share)]
+        best = max(known, key=lambda k: shares[k], default=0)
+        worse = []
         for k in (k for k in known if k > best):
             less = self.compare_ages(k, best)
-            if less.high >= 0.0 or less.value > -FALL:
-                continue
-            if shares[k].value <= BLIND * shares[best].value:
-                yield (
-                    f"blind after {format_age(self.age_s[k - 1])}: with the onset "
-                    f"{self._describe_fall(k, best, less)}"
-                )
-                return
-        last = known[-1]
-        less = self.compare_ages(last, best)
-        if last > best and less.high < 0.0 and less.value <= -FALL:
-            yield (
-                "finds less the longer it is switched on: with the onset "
-                f"{self._describe_fall(last, best, less)}"
-            )
-
-    def _describe_fall(self, age: int, best: int, less: Estimate) -> str:
-        low, high = (100.0 * end for end in (less.low, less.high))
-        now, then = (100.0 * self.estimate_share(k).value for k in (age, best))
-        grown = self.threshold[age] / self.threshold[best]
-        words = f"; its threshold is {grown:.1f} times as large by then" if grown > GROWN else ""
-        return (
-            f"{format_age(self.age_s[age])} after switch-on it finds {now:.0f} % of the test "
-            f"ramps, after {format_age(self.age_s[best])} {then:.0f} % (paired {low:+.0f} to "
-            f"{high:+.0f}){words}"
+            if less.high < 0.0 and less.value <= -FALL:
+                worse.append((k, less))
+        if not worse:
+            return
+        blind = (each for each in worse if shares[each[0]] <= BLIND * shares[best])
+        first = next(blind, None)
+        k, (_, low, high) = first or worse[-1]
+        words = "finds less the longer it has been switched on"
+        if first is not None:
+            ages = (format_age(self.age_s[j]) for j in (k - 1, k))
+            words = "goes blind between {} and {} after switch-on".format(*ages)
+        if (grown := self.threshold[k] / self.threshold[best]) > GROWN:
+            words += f", as its threshold grows, {grown:.1f}-fold by then"
+        yield (
+            f"{words}: it finds {100.0 * shares[best]:.0f} % of the test ramps when they begin "
+            f"{format_age(self.age_s[best])} after switch-on, {100.0 * shares[k]:.0f} % after "
+            f"{format_age(self.age_s[k])} (paired {100.0 * low:+.0f} to {100.0 * high:+.0f})"
         )
 
     def as_dict(self) -> dict[str, Any]:
