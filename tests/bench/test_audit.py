@@ -89,15 +89,16 @@ def test_one_that_says_another_thing_of_the_same_epochs_is_found_out(probe):
     assert not probe(Whim()).alike
 
 
-def family(key, displacement, silent=True):
-    moved = np.broadcast_to(np.asarray(displacement, dtype=float), RUNS).copy()
+def family(key, *displacements, silent=True):
+    """Attacks of a family: the worst that is looked for, and one that was found elsewhere."""
     aims = (*(Aim(MEASURES[0], share) for share in SHARES), Aim(MEASURES[0], limit_m=LIMIT))
     spec = {"name": "ramp", "rate_mps": 1.0}
-    winner = Winner("a", "ramp", "rate_mps", 1.0, spec, aims, {MEASURES[0]: moved})
-    counts = np.full(RUNS, silent)
-    return FamilyScore(
-        key, False, LIMIT, Protection({}, (winner,), counts, np.arange(RUNS) % 16, None)
-    )
+    winners = []
+    for letter, moved in zip("ct", displacements, strict=False):
+        each = {MEASURES[0]: np.broadcast_to(np.asarray(moved, dtype=float), RUNS).copy()}
+        winners.append(Winner(letter, "ramp", "rate_mps", 1.0, spec, aims, each))
+    runs = np.full(RUNS, silent), np.arange(RUNS) % 16, None
+    return FamilyScore(key, False, LIMIT, Protection({}, tuple(winners), *runs))
 
 
 def audit_of(*families, alarms=0.0, found=0.5, **more):
@@ -150,6 +151,10 @@ FLOOR = {"half": {"value": 20.0}, "few": {"value": 30.0}}
             audit_of(family("ramps", SPREAD), family("open-loop", SPREAD - 2.0)),
             "the search failed: ramps exceed 2.0 m",
         ),
+        (
+            audit_of(family("open-loop", SPREAD, SPREAD + 2.0)),
+            "the search failed: attacks that were found against other detectors exceed 2.0 m",
+        ),
         (audit_of(floor_m=FLOOR), "no attack gets beyond the 20.0 m that even a perfect detector"),
     ],
 )
@@ -164,7 +169,10 @@ def test_every_warning_stands_where_it_is_earned(audit, message):
 
 def test_what_is_as_it_should_be_is_not_warned_of():
     audit = audit_of(
-        family("ramps", SPREAD), family("open-loop", SPREAD + 0.1), alarms=0.01, floor_m=None
+        family("ramps", SPREAD),
+        family("open-loop", SPREAD + 0.1, SPREAD),
+        alarms=0.01,
+        floor_m=None,
     )
     assert audit.warnings == []
     assert audit.find_worst(0.5).family == "open-loop"
@@ -173,7 +181,9 @@ def test_what_is_as_it_should_be_is_not_warned_of():
         f"mine: {value:.1f} m in half of the runs (worst: open-loop), false alarms 0.23/h "
         "(asked 0.2)"
     )
-    silent = replace(audit, score=replace(audit.score, families=(family("ramps", 1.0, False),)))
+    silent = replace(
+        audit, score=replace(audit.score, families=(family("ramps", 1.0, silent=False),))
+    )
     assert silent.answer == "mine: no score, as no run is silent without an attack"
 
 

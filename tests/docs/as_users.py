@@ -73,6 +73,10 @@ SMALLER: dict[str, tuple[str | None, str]] = {
     r"make bench$": (f'ARGS="{CAMPAIGN}"', "a quarter of an hour; a fresh checkout runs it"),
     r"python -m baselines\.papers all$": (None, "the five papers, which have a page each"),
     r"python -m baselines\.papers\.page$": ("ke2022", "the one that its page runs in full before"),
+    r"spoofgym audit my_detector": (
+        None,
+        "a calibration; tests/bench/test_audit.py has one like it",
+    ),
     r"spoofgym audit ": (AUDIT, "a minute to ten, and a calibration"),
 }
 """How commands begin that would take more than some ten minutes or can't run here; with what

@@ -10,7 +10,7 @@ import json
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -50,9 +50,9 @@ from ..runs.players import (
     specify_detector,
     specify_spoofer,
 )
-from ..runs.record import MEASURES, Protection, record_runs
+from ..runs.record import MEASURES, Protection, Winner, record_runs
 from ..runs.world import World
-from ..scores.audit import AgeProbe, Audit
+from ..scores.audit import TRANSFER, AgeProbe, Audit
 from ..scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
 from ..scores.statistics import BUDGET
 from ..search.amplitude import Tuning, with_rates
@@ -445,7 +445,9 @@ class AuditCells(Experiment):
             return float(size.twins * size.ages * (len(RAMPS) + 1))
         if isinstance(part, str):
             return runs * (1 + len(EVENTS))
-        members = len(self.of.worlds.list_attacks(part)) + len(AIMS) * (SEARCHED in part.letters)
+        members = len(self.of.worlds.list_attacks(part))
+        if SEARCHED in part.letters:
+            members += len(AIMS) + len(self.card.get("optima_mps", {}))
         plays = expected_plays(members, self.of.selection, self.of.runs, ROUNDS)
         return plays + self.search_plays * (SEARCHED in part.letters)
 
@@ -503,19 +505,37 @@ class AuditCells(Experiment):
     def _play_family(
         self, family: AttackFamily, group: Sequence[ScoredDetector], context: Context
     ) -> Iterator[Result]:
-        worlds, limit, settings = self.of.worlds, self.of.task.alert_limit_m, self.of.selection
+        worlds = self.of.worlds
         where = {"onset": family.onset, **self.of.task.get_overrides(family)}
-        panel = worlds.panel(group, "selection", settings.runs, **where)
-        members = worlds.list_attacks(family)
-        antenna = ANTENNA_PARTS[0] * limit, ANTENNA_PARTS[1] * limit
-        own: list[tuple[SuiteAttack, ...]] = [members] * len(group)
+        own: list[tuple[SuiteAttack, ...]] = [worlds.list_attacks(family)] * len(group)
         heads: list[dict[str, Any]] = [{"detector": each.player.label} for each in group]
+        transfers: tuple[SuiteAttack, ...] = ()
         if SEARCHED in family.letters:
-            share = self.search_plays / len(group)
+            share, transfers = self.search_plays / len(group), self._list_transfers()
             tick = lambda part: context.tick(share * part)  # noqa: E731
             for k, each in enumerate(group):
-                found, bound = worlds.search_open_loop(each, self.of.size.search, tick)
-                own[k], heads[k]["zero_alarm"] = (*members, *found), bound
+                curves, bound = worlds.search_open_loop(each, self.of.size.search, tick)
+                own[k], heads[k]["zero_alarm"] = (*own[k], *curves), bound
+        winners = self._find_worst(where, group, own, context)
+        if transfers:  # apart, so that the best of both kinds are compared
+            others = self._find_worst(where, group, [transfers] * len(group), context)
+            winners = [(*mine, *theirs) for mine, theirs in zip(winners, others, strict=True)]
+        panel = worlds.panel(group, "evaluation", self.of.runs, **where)
+        for k, (head, worst) in enumerate(zip(heads, winners, strict=True)):
+            found = Protection(head, worst, panel.counts[:, k], panel.sky, None)
+            yield Result(*found.parts())
+
+    def _find_worst(
+        self,
+        where: Mapping[str, Any],
+        group: Sequence[ScoredDetector],
+        own: Sequence[tuple[SuiteAttack, ...]],
+        context: Context,
+    ) -> list[tuple[Winner, ...]]:
+        """The worst of each detector's attacks, chosen on the selection, on the evaluation runs."""
+        worlds, limit, settings = self.of.worlds, self.of.task.alert_limit_m, self.of.selection
+        panel = worlds.panel(group, "selection", settings.runs, **where)
+        antenna = ANTENNA_PARTS[0] * limit, ANTENNA_PARTS[1] * limit
         searches = [
             FamilyAttacks(panel, k, attacks, settings, antenna_m=antenna)
             for k, attacks in enumerate(own)
@@ -523,9 +543,13 @@ class AuditCells(Experiment):
         requests = [(each.number, each.winners([limit])) for each in searches]
         chosen = list(zip(searches, play_searches(panel, requests, context.tick), strict=True))
         panel = worlds.panel(group, "evaluation", self.of.runs, **where)
-        for k, winners in enumerate(play_winners(panel, chosen, context.tick)):
-            worst = Protection(heads[k], winners, panel.counts[:, k], panel.sky, None)
-            yield Result(*worst.parts())
+        return play_winners(panel, chosen, context.tick)
+
+    def _list_transfers(self) -> tuple[SuiteAttack, ...]:
+        """Profiles that are stored as found against other detectors in the task's world."""
+        spoofer = specify_spoofer(add_tuned_setting({"name": "open-loop"}))
+        stored = self.card.get("optima_mps", {}).values()
+        return tuple(SuiteAttack(TRANSFER, with_rates(spoofer, rates)) for rates in stored)
 
     def _false_alarms(self, group: Sequence[ScoredDetector]) -> Iterator[Result]:
         """Alarms of detectors in runs without an attack, with an event and without."""

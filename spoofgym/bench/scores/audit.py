@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...detectors.calibration_file import run_probability
-from ..runs.record import MEASURES, Aim, Mask
+from ..runs.record import MEASURES, Aim, Mask, Protection
 from .detector import CLEAN, WINDOW, DetectorScore, FamilyScore
 from .exceeded import draw_exceeded
 from .scores import SHARES, select_clusters
 from .statistics import (
+    NOTHING,
     Estimate,
     FloatArray,
     bootstrap_mean,
@@ -27,6 +28,7 @@ from .statistics import (
 
 SEARCHED, RIVALS = "open-loop", ("ramps", "profiles", "dashes")
 """Family that is searched for against a detector, and those that it must not be behind."""
+TRANSFER = "t"  # letter of attacks that were found against other detectors
 PROMISE = 2.0  # times the rate that was requested from which on false alarms are warned of
 FALL = 0.1
 """Part of the test ramps by which a detector finds less at a greater age before it is warned of."""
@@ -210,16 +212,20 @@ class Audit:
 
     def _warn_of_search(self) -> Iterator[str]:
         by_key = {each.family: each for each in self.score.families}
-        mine = by_key.get(SEARCHED)
-        for other in (by_key[key] for key in RIVALS if mine is not None and key in by_key):
-            assert mine is not None  # as the line above has it
-            less = compare_exceeded(other, mine, SHARES[0])
-            if less.low > 0.0:
-                yield (
-                    f"the search failed: {other.family} exceed {format_number(less.value)} m "
-                    f"({format_number(less.low)} to {format_number(less.high)}) more in half of "
-                    f"the runs than what was searched for against it: distrust {SEARCHED}"
-                )
+        if SEARCHED in by_key:
+            every = by_key[SEARCHED].protection
+            rivals = {key: by_key[key].protection for key in RIVALS if key in by_key}
+            parts = {adapted: select_winners(every, adapted) for adapted in (True, False)}
+            if parts[False].winners:
+                rivals["attacks that were found against other detectors"] = parts[False]
+            for name, other in rivals.items() if parts[True].winners else ():
+                less = compare_exceeded(other, parts[True], SHARES[0])
+                if less.low > 0.0:
+                    yield (
+                        f"the search failed: {name} exceed {format_number(less.value)} m "
+                        f"({format_number(less.low)} to {format_number(less.high)}) more in half "
+                        f"of the runs than what was searched for against it: distrust {SEARCHED}"
+                    )
         floor = self.floor_m and self.floor_m["half"]["value"]
         found = self.figures["exceeded_m"][f"{SHARES[0]:g}"]
         if floor and found["high"] is not None and found["high"] < floor:
@@ -271,15 +277,20 @@ class Audit:
         return "\n".join([*self.warnings, self.answer])
 
 
-def compare_exceeded(one: FamilyScore, other: FamilyScore, share: float) -> Estimate:
-    """What the worst attack of a family exceeds less that of another in the same runs [m]."""
-    aim, rows = Aim(MEASURES[0], share), one.protection.counts
+def select_winners(found: Protection, adapted: bool) -> Protection:
+    """Those of the worst attacks that were looked for against the detector, or the others."""
+    winners = (each for each in found.winners if (each.letter != TRANSFER) == adapted)
+    return replace(found, winners=tuple(winners))
+
+
+def compare_exceeded(one: Protection, other: Protection, share: float) -> Estimate:
+    """What the worst of some attacks exceeds less that of others in the same runs [m]."""
+    aim, rows = Aim(MEASURES[0], share), one.counts
     if not rows.any():
-        return Estimate(math.nan, math.nan, math.nan)
-    samples = draw_resamples(select_clusters(one.protection.sky)[rows])
-    both = [draw_exceeded(each.protection, aim, rows, samples) for each in (one, other)]
-    value = one.protection.score_worst(aim) - other.protection.score_worst(aim)
-    return percentiles(value, both[0] - both[1])
+        return NOTHING
+    samples = draw_resamples(select_clusters(one.sky)[rows])
+    both = [draw_exceeded(each, aim, rows, samples) for each in (one, other)]
+    return percentiles(one.score_worst(aim) - other.score_worst(aim), both[0] - both[1])
 
 
 def format_age(age_s: float) -> str:
