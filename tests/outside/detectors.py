@@ -6,11 +6,11 @@ from spoofgym.detectors import Detector, Verdict
 
 
 class AverageRate(Detector):
-    """Alarm where a satellite's averaged range-rate innovations are not zero."""
+    """Alarm where averaged range-rate innovations, less the clock's part, are not zero."""
 
     paper = "roberts1959"
-    scope = "channel"
-    gain, limit = 0.01, 0.5
+    scope = "receiver"
+    gain, limit = 0.01, 0.015
 
     def bind(self, context):
         super().bind(context)
@@ -19,12 +19,16 @@ class AverageRate(Detector):
         self.memory.declare("age_s", np.zeros(context.receivers))
 
     def judge(self, epoch):
-        n, average = epoch.visible.shape[1], self.memory["average"]
+        seen, average = epoch.visible, self.memory["average"]
+        n = seen.shape[1]
         self.memory["age_s"] += self.interval_s
-        normalized = epoch.innovation[:, n:] / np.sqrt(epoch.innovation_variance[:, n:])
-        average += self.gain * (normalized - average)
-        average[~epoch.visible] = 0.0
-        statistic = self.look(np.abs(average), self.memory["age_s"][:, None])
+        rate = epoch.innovation[:, n:] / np.sqrt(epoch.innovation_variance[:, n:])
+        rate -= np.where(seen, rate, 0.0).sum(axis=1, keepdims=True) / np.maximum(
+            seen.sum(axis=1, keepdims=True), 1
+        )
+        average += self.gain * (rate - average)
+        average[~seen] = 0.0
+        statistic = self.look(np.sqrt((average**2).sum(axis=1)), self.memory["age_s"])[:, None]
         threshold = np.broadcast_to(self.raise_threshold(), statistic.shape).copy()
         return Verdict(statistic, threshold, statistic > threshold)
 

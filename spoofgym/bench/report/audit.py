@@ -87,7 +87,7 @@ def _bound(bound: dict[str, Any] | None) -> str:
         return "not looked for: needs the family open-loop"
     value = bound["restricted_m"] or bound["free_m"]
     if value is None:
-        return f"no bound: {bound['why']}"
+        return textwrap.shorten(f"not known: {bound['why']}", WIDTH - LABEL, placeholder=" ...")
     return value if isinstance(value, str) else f"{format_number(value)} m in the mean"
 
 

@@ -29,6 +29,7 @@ from .statistics import (
 SEARCHED, RIVALS = "open-loop", ("ramps", "profiles", "dashes")
 """Family that is searched for against a detector, and those that it must not be behind."""
 TRANSFER = "t"  # letter of attacks that were found against other detectors
+BEHIND = 0.02  # part of the displacement by which a search may be behind
 PROMISE = 2.0  # times the rate that was requested from which on false alarms are warned of
 FALL = 0.1
 """Part of the test ramps by which a detector finds less at a greater age before it is warned of."""
@@ -220,7 +221,7 @@ class Audit:
                 rivals["attacks that were found against other detectors"] = parts[False]
             for name, other in rivals.items() if parts[True].winners else ():
                 less = compare_exceeded(other, parts[True], SHARES[0])
-                if less.low > 0.0:
+                if less.low > BEHIND * every.score_worst(Aim(MEASURES[0], SHARES[0])):
                     yield (
                         f"the search failed: {name} exceed {format_number(less.value)} m "
                         f"({format_number(less.low)} to {format_number(less.high)}) more in half "
