@@ -186,7 +186,7 @@ def test_what_is_as_it_should_be_is_not_warned_of():
 
 
 def test_a_whole_audit_of_a_detector_of_ones_own(tmp_path):
-    spec = {"name": "tests.outside.detectors:AverageRate", "threshold_scale": 1.0}
+    spec = {"name": "tests.outside.detectors:AverageRate", "threshold_scale": 30.0}
     sizes = {"runs": 6, "selection_runs": 4, "families": ["ramps", "dashes"], "threads": 1}
     found = spoofgym.audit(spec, small_task(), "quick", folder=tmp_path, **sizes)
     again = spoofgym.audit(spec, small_task(), "quick", folder=tmp_path, **sizes)

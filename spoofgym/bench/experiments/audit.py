@@ -93,8 +93,8 @@ class AuditBudget(NamedTuple):
 
 BUDGETS = {
     "quick": AuditBudget(40, 24, OpenLoopSearch(runs=96, batch=24, generations=6), 16, 4, 0),
-    "standard": AuditBudget(200, 64, OpenLoopSearch(runs=256), 48, 5, 4),
-    "full": AuditBudget(1000, 256, OpenLoopSearch(), 128, 5, None),
+    "standard": AuditBudget(400, 96, OpenLoopSearch(runs=256), 64, 5, 4),
+    "full": AuditBudget(1500, 384, OpenLoopSearch(), 192, 5, None),
 }
 """Sizes by their names: about 1, 10 and 60 minutes of two processors for a plain detector in D1."""
 SIFTED = 4
@@ -121,6 +121,8 @@ AGAIN, ALIKE = 8, 1e-6
 """Runs that are judged twice, and the largest difference of the two, in parts."""
 FLOOR_PLAYS = 500.0
 """Runs that take about as long as a world of the floor."""
+OVERHEAD = 4.0
+"""Time of an audit, in parts of that of its attacks from the onset on."""
 
 
 class ScoredDetector(NamedTuple):
@@ -379,16 +381,22 @@ class Auditor:
         except ValueError:
             missing = WEIGHING_RUNS if weighs(world, bare) else PASSIVE_RUNS
         _, whole_us = worlds.measure_cost(bare, self.size.ages)
+        window = world.steps + world.hold
         if missing:
-            epochs = expect_onset(world) + world.steps + world.hold
-            minutes = missing * epochs * whole_us / 6e7
+            minutes = missing * (expect_onset(world) + window) * whole_us / 6e7
             say(
                 f"{entry.label} has no thresholds for {self.task.key} yet: a calibration on "
                 f"{missing} clean runs, some {max(minutes, 1.0):.0f} min of a processor, is "
                 "stored and serves all later audits"
             )
         calibrate_players(worlds.world, [entry], threads=worlds.threads, progress=show)
-        return AuditCells(self, worlds.build_detectors([detector]))
+        cells = AuditCells(self, worlds.build_detectors([detector]))
+        minutes = OVERHEAD * sum(cell.work for cell in cells.cells()) * window * whole_us / 6e7
+        say(
+            f"{self.task.key}: the {self.budget} audit takes some {max(minutes, 1.0):.0f} min of a "
+            "processor, less what is finished"
+        )
+        return cells
 
 
 @dataclass(frozen=True)
