@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -68,19 +68,9 @@ def audit_(
     from ..bench.report.audit import print_audits
 
     (spec,), found = opt.parse_specs([detector]), []
-    auditors = [
-        Auditor(
-            key,
-            budget,
-            runs=runs,
-            selection_runs=selection_runs,
-            families=family or None,
-            entropy=seed,
-            threads=threads,
-            folder=out,
-        )
-        for key in dict.fromkeys(task or ["D1"])
-    ]
+    sizes: Any = {"runs": runs, "selection_runs": selection_runs, "families": family or None}
+    settings: Any = {**sizes, "entropy": seed, "threads": threads, "folder": out}
+    auditors = [Auditor(key, budget, **settings) for key in dict.fromkeys(task or ["D1"])]
     say = lambda text: typer.echo(text, err=True)  # noqa: E731
     for auditor in auditors:
         cells = auditor.prepare(spec, progress, say)

@@ -699,15 +699,7 @@ def audit(
     >>> found.score.worst.family, found.score.p_hmi.value
     ('dashes', 1.0)
     """
-    auditor = Auditor(
-        task,
-        budget,
-        runs=runs,
-        selection_runs=selection_runs,
-        families=families,
-        entropy=entropy,
-        threads=threads,
-        folder=folder,
-    )
+    sizes: Any = {"runs": runs, "selection_runs": selection_runs, "families": families}
+    auditor = Auditor(task, budget, **sizes, entropy=entropy, threads=threads, folder=folder)
     cells = auditor.prepare(detector, progress)
     return cells.conclude(auditor.run(cells, progress))

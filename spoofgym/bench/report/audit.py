@@ -49,11 +49,11 @@ def _figures(found: dict[str, Any]) -> Iterator[str]:
     reference, floor = found["reference"], found["floor_m"]
     beside = "" if reference is None else "best non-learned"
     yield _row("", "this detector", beside)
-    asked = found["requested_per_hour"]
+    requested = found["requested_per_hour"]
     measured = interval(found["false_alarms_per_hour"])
     yield _row(
         "false alarms an hour",
-        measured + (", as published" if asked is None else f", asked {asked:g}"),
+        measured + (", as published" if requested is None else f", asked {requested:g}"),
     )
     worst = found["worst_in_half"], found["worst_in_few"]
     for share, family in zip(SHARES, worst, strict=True):

@@ -243,12 +243,12 @@ class Audit:
             return f"{self.score.detector}: no score, as no run is silent without an attack"
         rate = self.figures["false_alarms_per_hour"]["value"]
         measured = "in every window" if rate is None else f"{rate:.2g}/h"
-        asked = "thresholds as published"
+        promise = "thresholds as published"
         if self.requested_per_hour is not None:
-            asked = f"asked {self.requested_per_hour:g}"
+            promise = f"asked {self.requested_per_hour:g}"
         return (
             f"{self.score.detector}: {format_number(found['value'])} m in half of the runs (worst: "
-            f"{worst.family}), false alarms {measured} ({asked})"
+            f"{worst.family}), false alarms {measured} ({promise})"
         )
 
     def as_dict(self) -> dict[str, Any]:
