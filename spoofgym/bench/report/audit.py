@@ -39,8 +39,8 @@ def _wrap(text: str, bullet: str = "") -> list[str]:
 def _head(found: dict[str, Any]) -> Iterator[str]:
     yield f"{found['task']}: {found['title']}"
     yield (
-        f"{found['detector']}, budget {found['budget']}: {found['runs']} runs of each of "
-        f"{len(found['families'])} families, attacks chosen on {found['selection_runs']} others"
+        f"{found['detector']}: {found['runs']} runs of each of {len(found['families'])} families, "
+        f"chosen on {found['selection_runs']} ({found['budget']})"
     )
     yield ""
 
