@@ -22,8 +22,8 @@ def audit_(
     budget: Annotated[
         str,
         Option(
-            help="Size of all that is played: quick, standard or full, some 1, 6 or 20 minutes of a "
-            "processor for a plain detector in D1."
+            help="Size of all that is played: quick, standard or full, some 1, 6 or 20 minutes of "
+            "a processor for a plain detector in D1."
         ),
     ] = "standard",
     family: Annotated[

@@ -31,9 +31,9 @@ def format_screen(audit: Audit) -> list[str]:
 
 
 def _wrap(text: str, bullet: str = "") -> list[str]:
-    return textwrap.wrap(
-        text, WIDTH, initial_indent=bullet, subsequent_indent=" " * max(len(bullet), 2)
-    )
+    indent = " " * max(len(bullet), 2)
+    lines = textwrap.wrap(text, WIDTH, initial_indent=bullet, subsequent_indent=indent)
+    return [line.replace("\xa0", " ") for line in lines]
 
 
 def _head(found: dict[str, Any]) -> Iterator[str]:
@@ -108,7 +108,9 @@ def _ages(found: dict[str, Any]) -> str:
     ages = found["ages"]
     pairs = zip(ages["age_s"], ages["found"], strict=True)
     shown = (
-        f"{format_age(age)} {'-' if (x := each['value']) is None else f'{100 * x:.0f} %'}"
+        f"{format_age(age)} {'-' if (x := each['value']) is None else f'{100 * x:.0f} %'}".replace(
+            " ", "\xa0"
+        )
         for age, each in pairs
     )
     return f"test ramps found, by the time from switch-on to the onset: {', '.join(shown)}"
