@@ -47,6 +47,7 @@ docs/tasks
 docs/threats
 docs/worlds
 docs/calibration
+docs/audit
 docs/scores
 docs/limits
 docs/checks

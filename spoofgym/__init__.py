@@ -28,8 +28,8 @@ export       from a model to an ONNX file with its card
 sb3          the vector environment of stable-baselines3, and a callback that scores
 cli          the command line: `spoofgym --help`
 
-`spoofgym.evaluate` scores any spoofer by the rule of the benchmark,
-`spoofgym.evaluate_detector` any detector, and `spoofgym.evaluate_wrapped` one that is a wrapper.
+`spoofgym.audit` says what the worst attack does to any detector, `spoofgym.evaluate` scores any
+spoofer by the rule of the benchmark, and `spoofgym.evaluate_wrapped` a detector that is a wrapper.
 
 **Frames**
 
@@ -78,8 +78,8 @@ from .tasks import DETECTOR_TASKS as _DETECTOR_TASKS
 from .tasks import TASKS as _TASKS
 
 if TYPE_CHECKING:
+    from .bench.experiments.audit import audit as audit
     from .bench.experiments.evaluate import evaluate as evaluate
-    from .bench.experiments.protect import evaluate_detector as evaluate_detector
     from .wrappers.evaluate import evaluate_wrapped as evaluate_wrapped
 
 __version__ = "0.1.0.dev0"
@@ -168,10 +168,10 @@ def __getattr__(name: str) -> Any:
         from .bench.experiments.evaluate import evaluate
 
         return evaluate
-    if name == "evaluate_detector":
-        from .bench.experiments.protect import evaluate_detector
+    if name == "audit":
+        from .bench.experiments.audit import audit
 
-        return evaluate_detector
+        return audit
     if name == "evaluate_wrapped":
         from .wrappers.evaluate import evaluate_wrapped
 

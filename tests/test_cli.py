@@ -28,7 +28,7 @@ WORLD = ("run", "bench", "limits", "dataset")
 
 def test_help_of_every_command_with_the_options_of_the_world_where_it_plays():
     text = call("--help").output
-    for command in (*WORLD, "list", "protect", "game", "report", "warmup"):
+    for command in (*WORLD, "list", "audit", "game", "report", "warmup"):
         assert command in text
         page = call(command, "--help")
         assert page.exit_code == 0

@@ -7,7 +7,7 @@ import pytest
 
 import spoofgym
 from spoofgym.attacks import make_attack
-from spoofgym.bench.experiments.protect import SEARCHED, DetectorEvaluator
+from spoofgym.bench.experiments.audit import SEARCHED, Auditor
 from spoofgym.bench.experiments.suite import list_task_detectors
 from spoofgym.bench.report import tasks as detector_cards
 from spoofgym.bench.runs.players import specify_detector
@@ -100,7 +100,7 @@ def test_a_learned_detector_is_warned_of_where_it_has_met_what_is_held_out(key, 
     guard = {"name": str(path), "threshold": 0.9}
     told = pytest.warns(UserWarning, match="guard.* has learned from inherited")
     with told if warns else nullcontext():
-        DetectorEvaluator(key).worlds.build_detectors([guard, "never"])
+        Auditor(key).worlds.build_detectors([guard, "never"])
 
 
 def test_cards_are_of_these_tasks_as_is_the_page_and_what_is_missing_has_its_command():
@@ -150,27 +150,33 @@ def test_a_card_keeps_the_rows_of_the_same_runs_and_no_others():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--task", "T3", "--detector", "never"], "unknown task for detectors 'T3'"),
-        (["--task", "D1", "--detector", "cusun"], "did you mean 'cusum'?"),
-        (["--task", "D1", "--detector", "never", "--selection-seeds", "1"], "selection-seeds"),
+        (["never", "--task", "T3"], "unknown task for detectors 'T3'"),
+        (["cusun"], "did you mean 'cusum'?"),
+        (["never", "--selection-runs", "1"], "selection-runs"),
+        (["never", "--budget", "huge"], "unknown budget 'huge'; valid: full, quick, standard"),
     ],
 )
 def test_bad_options_are_refused(words, message, tmp_path):
-    result = call("protect", *words, "--out", tmp_path)
+    result = call("audit", *words, "--out", tmp_path)
     assert result.exit_code == 2
     assert message in " ".join(result.output.split())
 
 
-def test_the_command_line_scores_and_goes_on(tmp_path, monkeypatch):
+def test_the_command_line_audits_goes_on_and_writes_attacks_that_play_again(tmp_path, monkeypatch):
     monkeypatch.setitem(DETECTOR_TASKS, "D1", small_task())
-    words = ["protect", "--task", "D1", "--family", "ramps", "--seeds", "4", "--threads", "1"]
-    words += ["--selection-seeds", "4", "--out", str(tmp_path)]
-    words += ["--detector", "never", "--detector", "lottery:mean_wait_s=9e9"]
-    found = read(*words, "--json")
-    assert [each["p_hmi"]["value"] for each in found] == [1.0, 1.0]
-    assert found[1]["less_first"] == {"value": 0.0, "low": 0.0, "high": 0.0}
-    assert len(list(tmp_path.rglob("*.npz"))) == 4  # of each, a family and false alarms
-    monkeypatch.setattr("spoofgym.bench.experiments.protect.Panel", None)  # nothing is played again
-    table = call(*words).stdout
-    assert "paired: +0.0 % of runs" in table
-    assert "ramps" in table
+    words = ["audit", "never", "--budget", "quick", "--family", "ramps", "--runs", "4"]
+    words += ["--selection-runs", "4", "--threads", "1", "--out", str(tmp_path)]
+    (found,) = read(*words, "--json")
+    assert found["p_hmi"]["value"] == 1.0
+    assert found["warnings"] == ["never alarms, with an attack or without one"]
+    assert len(list(tmp_path.rglob("*.npz"))) == 3  # a family, false alarms, ages
+    monkeypatch.setattr("spoofgym.bench.experiments.audit.Panel", None)  # nothing is played again
+    result = call(*words)
+    lines = result.stdout.splitlines()
+    assert lines[-1] == found["answer"]
+    assert lines[-1].startswith("never: ")
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 100
+    for name in ("ramps", "worst"):
+        attack = make_spoofer(str(tmp_path / "small" / "attacks" / f"never-{name}.json"))
+        assert attack.rate_mps == pytest.approx(found["families"][0]["value"])

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from spoofgym.bench.experiments.audit import Auditor, specify_detectors
 from spoofgym.bench.experiments.calibration import calibrate_players
-from spoofgym.bench.experiments.protect import DetectorEvaluator, specify_detectors
 from spoofgym.bench.experiments.suite import list_task_detectors
 from spoofgym.bench.report import tasks
 from spoofgym.bench.scores.campaign import CONTROLS, extract_name
@@ -34,9 +34,7 @@ def play_task(
     before = tasks.stored_detector_cards().get(task.key, {})
     best = before.get("best_classic")  # others are compared with it
     chosen = [x for label, x in everyone.items() if only is None or label in {*only, best}]
-    evaluator = DetectorEvaluator(
-        task.key, runs=runs, selection_runs=selection_runs, folder=out, threads=1
-    )
+    evaluator = Auditor(task.key, runs=runs, selection_runs=selection_runs, folder=out, threads=1)
     world, entries = evaluator.worlds.world, specify_detectors(chosen)
     labels = [each.label for each in entries]
     refused = calibrate_players(world, entries, progress=progress, optional=labels)

@@ -67,7 +67,6 @@ IMPORTS = {
     "parallel": "spoofgym.duel_v0:parallel_env",
     "register": "spoofgym:__name__",
     "evaluate": "spoofgym:evaluate",
-    "evaluate_detector": "spoofgym:evaluate_detector",
     "default_rate": "spoofgym.detectors.calibrated:DEFAULT_RATE",
     "own_calibrations": "spoofgym.detectors.calibration:FOLDER_VARIABLE",
 }
@@ -111,24 +110,18 @@ COMMANDS = {
         "spoofgym game --json --task T3 --detector snapshot-chi2 --detector ewma --spoofer none "
         "--spoofer ramp:rate_mps=0.2 --runs 4 --out results"
     ),
-    ("protect", ""): (
-        "spoofgym protect --json --task D1 --detector snapshot-chi2 --family dashes --seeds 2 "
-        "--selection-seeds 4 --out results"
-    ),
     ("paper", ""): "baselines.papers wu2024 --quick --json --out results",
 }
 """Command lines that print JSON, by id and form; they run where users have calibrated nothing."""
 CELLS = (".jsonl", ".npz")
 """Suffixes of the files of finished cells."""
 PUBLISHED = {"name": "snapshot-chi2", "thresholds": "nominal"}
-FEW = {"runs": 4, "selection_runs": 4, "families": ["dashes"]}
 CALLS: dict[tuple[str, str], tuple[str, dict[str, Any]]] = {
     ("evaluate", ""): (
         "ramp",
         {"detector": PUBLISHED, "timeline": SHORT, "runs": 6, "fit_runs": 64},
     ),
     ("evaluate", "shipped"): ("solution-separation-ppo", {"task": "T3", "runs": 4, "fit_runs": 59}),
-    ("evaluate_detector", ""): ("solution-separation", {"task": "v1/D1", **FEW}),
 }
 """Functions of the package, by id and form: what they are asked about, and how."""
 SHIPPED = (MAIN, "spoofgym/BenchT3-v1")

@@ -7,23 +7,23 @@ from .app import INTERRUPTED as INTERRUPTED
 from .app import app as app
 from .app import clear_errors as clear_errors
 from .app import main as main
+from .audit import audit_
 from .bench import bench, report
 from .calibrate import calibrate
 from .dataset import dataset
 from .game import game
 from .limits import limits
 from .list import list_
-from .protect import protect
 from .run import run
 from .warmup import warmup
 
 # in the order of the help page
 app.command("list")(clear_errors(list_))
+app.command("audit")(clear_errors(audit_))
 for _command in (
     calibrate,
     run,
     bench,
-    protect,
     game,
     limits,
     dataset,

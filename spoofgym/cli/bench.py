@@ -197,7 +197,7 @@ def report(
             print_lines(WorstRows(results.config).list_new(results))
         _report(results, as_json, None, verbose)
         return
-    pages = {"game": build_game_page, "protect": build_scores_page, "audit": build_scores_page}
+    pages = {"game": build_game_page, "audit": build_scores_page}
     if kind not in pages:
         raise ValueError(f"{folder} holds the experiment {kind!r}, which has no report")
     scores = load_output(store)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from ..core.registry import Spec, build_spec, make
@@ -61,6 +63,18 @@ def resolve_spec(spec: Any) -> Any:
     return {"name": card.kind, "file": name, "sha256": card.file.sha256}
 
 
+def read_settings(spec: Any) -> Any:
+    """Name and settings in a ``.json`` file, such as an audit writes; any other spec as it is."""
+    given = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
+    file = given.pop("name", None)
+    if not isinstance(file, str) or not file.endswith(".json"):
+        return spec
+    found = json.loads(Path(file).read_bytes())
+    if not isinstance(found, dict) or "name" not in found:
+        raise ValueError(f"{file} has no name and settings of a spoofer")
+    return {**found, **given}
+
+
 def make_spoofer(spec: SpooferSpec) -> Spoofer:
     """Spoofer by name, by name and settings, by file, or a copy of an object.
 
@@ -68,7 +82,8 @@ def make_spoofer(spec: SpooferSpec) -> Spoofer:
     ----------
     spec : str, mapping or Spoofer
         A name in `SPOOFERS`, of a shipped spoofer, or the path of an ``.onnx`` file with its card
-        in the same folder; ``{"name": ..., "setting": value, ...}``; or a spoofer, which is copied.
+        in the same folder, or of a ``.json`` file with a name and settings; ``{"name": ...,
+        "setting": value, ...}``; or a spoofer, which is copied.
         With a name, ``"amplitude"`` is a factor on all that it commands (`Scaled`).
 
     Returns
@@ -90,7 +105,7 @@ def make_spoofer(spec: SpooferSpec) -> Spoofer:
     >>> make_spoofer({"name": "ramp", "rate_mps": 0.2})
     Ramp(heading_deg=90.0, rate_mps=0.2)
     """
-    plain, amplitude = split_amplitude(spec)
+    plain, amplitude = split_amplitude(read_settings(spec))
     made: Spoofer = make("spoofer", SPOOFERS, Spoofer, resolve_spec(plain), list_shipped(SPOOFER))
     return made if amplitude is None else Scaled(made, amplitude)
 

@@ -55,7 +55,7 @@ class Recorder:
             raise ValueError(
                 f"{type(setup.detector).__name__} is in the loop, and what is scored is outside: "
                 "make the environment with detector='never'. What is in the loop is scored by "
-                "`spoofgym.evaluate_detector`"
+                "`spoofgym.audit`"
             )
         if not setup.live:
             raise ValueError("an onset within needs a monitored start: give the timeline `live_s`")

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from onnx import numpy_helper
 
-import spoofgym
-from spoofgym.bench.experiments import protect as module
-from spoofgym.bench.experiments.protect import DetectorEvaluator
+from spoofgym.bench.experiments import audit as module
+from spoofgym.bench.experiments.audit import Auditor
 from spoofgym.bench.runs.record import MEASURES
 from spoofgym.bench.scores.detector import CLEAN, WINDOW
 from spoofgym.tasks import EVENTS
@@ -26,7 +25,7 @@ FAMILIES = ("ramps", "subset", "meaconer", "turn")
 
 def judge_of(runs, selection_runs, families, **more):
     sizes = {"runs": runs, "selection_runs": selection_runs, "families": families, "threads": 1}
-    return DetectorEvaluator(small_task(), **sizes, **more)
+    return Auditor(small_task(), **sizes, **more)
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +114,7 @@ OTHERS = ["quiet", "satellite-switch", "chance-alarm", "feedback"]
 @pytest.mark.parametrize("key", heavy(OTHERS, *OTHERS[:2]))
 def test_the_other_families_are_played_too(key):
     sizes = {"runs": 4, "selection_runs": 4, "threads": 1}
-    score = spoofgym.evaluate_detector(TEST, small_task(), families=[key], **sizes)
+    (score,) = Auditor(small_task(), families=[key], **sizes).scores([TEST])
     assert score.worst.family == key
     assert 0.0 <= score.p_hmi.value <= 1.0
 
@@ -148,4 +147,4 @@ def test_detectors_of_one_name_do_not_share_runs(tmp_path):
 )
 def test_bad_input_is_refused(detectors, task, settings, message):
     with pytest.raises(ValueError, match=message):
-        DetectorEvaluator(task, **settings).scores(detectors)
+        Auditor(task, **settings).scores(detectors)

@@ -30,7 +30,7 @@ LEARNING = "--steps 200 --num-envs 4 --batch-size 400 --stages 1 --fit-runs 80 -
 CAMPAIGN = "--budget quick --runs 8 --training-runs 80 --selection-runs 12"
 ELSEWHERE = '--out "$(mktemp -d)"'
 """Folder of a campaign that a sentence names as the origin of its figures."""
-PROTECTION = "--seeds 8 --selection-seeds 4"
+AUDIT = "--budget quick --runs 8 --selection-runs 4 --family ramps --family open-loop"
 SMALLER: dict[str, tuple[str | None, str]] = {
     r"pip install ": (None, "the tests' environment has them; test_readme compares the extras"),
     r"make test$": (None, "the other list, which is run beside this one"),
@@ -70,7 +70,11 @@ SMALLER: dict[str, tuple[str | None, str]] = {
     r"make bench$": (f'ARGS="{CAMPAIGN}"', "minutes; a fresh checkout runs it"),
     r"python -m baselines\.papers all$": (None, "the five papers, which have a page each"),
     r"python -m baselines\.papers\.page$": ("ke2022", "the one that its page runs in full before"),
-    r"spoofgym protect (?!.*--selection-seeds)": (PROTECTION, "1000 runs of every attack"),
+    r"spoofgym audit my_detector": (
+        None,
+        "a calibration; tests/bench/test_audit.py has one like it",
+    ),
+    r"spoofgym audit ": (AUDIT, "a minute to ten, and a calibration"),
 }
 """How commands begin that would take more than some ten minutes or can't run here; with what
 options they run instead, None where they do not; and why."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from spoofgym import tasks as detector_tasks
 from spoofgym.attacks import ATTACKS, make_attack
-from spoofgym.bench.experiments.protect import DetectorEvaluator
+from spoofgym.bench.experiments.audit import Auditor
 from spoofgym.bench.runs.panel import Panel, PanelAttack, generators, select_runs
 from spoofgym.bench.search.attack_suite import IDLE
 from spoofgym.core.files import write_file
@@ -41,7 +41,7 @@ CONSTANTS = (
 
 def resolved(task: DetectorTask) -> dict[str, Any]:
     """All settings of a task with their defaults, of every family, and of the learners' pool."""
-    evaluator = DetectorEvaluator(task.key)
+    evaluator = Auditor(task.key)
     families = {}
     for family in task.families:
         setup = evaluator.worlds.setup(**task.get_overrides(family))
@@ -66,7 +66,7 @@ def resolved(task: DetectorTask) -> dict[str, Any]:
 
 def reached(task: DetectorTask, family: AttackFamily) -> dict[str, Any]:
     """Runs of a family that are drawn by its onset, and how far one stated attack comes in them."""
-    setup = DetectorEvaluator(task.key).worlds.setup(**task.get_overrides(family))
+    setup = Auditor(task.key).worlds.setup(**task.get_overrides(family))
     onset = None if family.onset == "chance-alarm" else family.onset
     numbers = select_runs(setup, 0, "evaluation", RUNS, onset)
     judges = [make_detector("never"), make_detector(WHOM)]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import uuid
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
+from importlib.resources import files
 from pathlib import PurePath
 from typing import Any, NamedTuple
 
@@ -55,6 +57,9 @@ ALERT_LIMIT_M = 40.0
 """Horizontal alert limit of an approach with vertical guidance (`icao-annex10`)."""
 ALERT_LIMITS_M = (5.0, 10.0, 20.0, ALERT_LIMIT_M, 80.0, 160.0, 320.0, 556.0)
 """Alert limits of a campaign besides its own; 556 m is that of a non-precision approach."""
+
+FILE, DETECTOR_FILE = "task_cards.json", "detector_cards.json"
+"""Stored scores of the tasks; made by `tools.task_cards` and `tools.detector_cards`."""
 
 
 @settings_record(frozen=True, kw_only=True)
@@ -358,6 +363,12 @@ def list_world_detectors(setup: Setup, rescaled: bool = False) -> list[dict[str,
             found.append(own)
         if rescaled and each.drifts:
             found.append({**own, "thresholds": "rescaled"})
+    return found
+
+
+def stored_cards(file: str = FILE) -> dict[str, dict[str, Any]]:
+    """Cards by the keys of the tasks; those that have not been played are absent."""
+    found: dict[str, Any] = json.loads(files("spoofgym.bench").joinpath(file).read_bytes())
     return found
 
 

@@ -34,7 +34,7 @@ from ...simulation.setup import Setup
 from ...simulation.tight import TightlyCoupledSetup
 from ..experiments.suite import Suite
 from ..runs.players import PlayerSpec
-from ..search.bounds import compute_lower_limits, purposes
+from ..search.bounds import compute_lower_limits, expect_onset, purposes
 from .table import Table, metres, texts
 
 if TYPE_CHECKING:
@@ -121,10 +121,7 @@ def build_limit_record(
 
 def expect_floor(setup: TightlyCoupledSetup, worlds: int) -> float:
     """Time that the floor of some drawn worlds takes [s of a processor]; ages are log-uniform."""
-    youngest, oldest = setup.youngest, setup.onset
-    drawn = youngest < oldest
-    epochs = (oldest - youngest) / math.log(oldest / youngest) if drawn else oldest
-    return EPOCH_S * worlds * epochs
+    return EPOCH_S * worlds * expect_onset(setup)
 
 
 def add_bounds(record: Record, suite: Suite, show: ProgressBar, worlds: int) -> None:

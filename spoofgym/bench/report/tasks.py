@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from functools import partial
-from importlib.resources import files
 from operator import itemgetter
 from typing import Any
 
 from ...core.registry import format_label
 from ...tasks import DETECTOR_TASKS, TASKS, DetectorTask, Task, v2
+from ..experiments.suite import DETECTOR_FILE as DETECTOR_FILE
+from ..experiments.suite import FILE as FILE
 from ..experiments.suite import list_task_detectors
+from ..experiments.suite import stored_cards as stored_cards
 from .campaign import OVER, attack_of_suite, bound_text, format_spoofer
 from .table import Table, format_number, interval, metres, percent, share
 
 Card = dict[str, Any]
-FILE = "task_cards.json"  # stored with this module; made by `tools.task_cards`
 SCORES = {
     "ramp": "blind",
     "accelerating-ramp": "blind",
@@ -33,12 +33,6 @@ FIGURES = {
     "trivial_over_best": "trivial test",
 }
 """Of the admission test, and how they are titled."""
-
-
-def stored_cards(file: str = FILE) -> dict[str, Card]:
-    """Cards by the keys of the tasks; those that have not been played are absent."""
-    found: dict[str, Card] = json.loads(files("spoofgym.bench").joinpath(file).read_bytes())
-    return found
 
 
 def load_optima(key: str) -> list[list[float]]:
@@ -108,7 +102,6 @@ ADMISSION = Table(
 )
 
 
-DETECTOR_FILE = "detector_cards.json"  # stored with this module; made by `tools.detector_cards`
 COMMANDS = {"S": "python -m tools.task_cards {}", "D": "python -m tools.detector_cards {}"}
 """That play the cards of tasks, by the letter of these."""
 
@@ -245,20 +238,3 @@ def print_tasks(keys: Sequence[str] = (*TASKS, *DETECTOR_TASKS)) -> None:
 
 def _select(rows: Sequence[Card], keys: Sequence[str]) -> list[Card]:
     return [row for row in rows if row["task"] in keys]
-
-
-def print_scores(scores: list[Card]) -> None:
-    """Print scores of a task, those by family, and the paired differences to the first detector."""
-    first, card = scores[0], {"detectors": scores}
-    task, limit, runs = (first[name] for name in ("task", "alert_limit_m", "runs"))
-    DETECTOR_SCORES.print(
-        f"{task}: P(HMI) at {limit:g} m, {runs} runs of every family", rank_scores(card)
-    )
-    family_table(card).print(f"{task}: P(HMI) by family [%]", rank_scores(card))
-    for score in scores[1:]:
-        ends = (score["less_first"][name] for name in ("value", "low", "high"))
-        value, low, high = (100.0 * (end or 0.0) for end in ends)
-        print(
-            f"{score['detector']} less {first['detector']}, paired: {value:+.1f} % of runs "
-            f"({low:+.1f} to {high:+.1f})"
-        )

@@ -52,10 +52,13 @@ FAMILIES = {
     "a": "ramps and accelerating ramps",
     "b": "profiles",
     "c": "optimized open-loop attacks, found against each detector",
+    "t": "those that were found against others in the same world",
     "e": "feedback (oracle)",
     "h": "dashes",
 }
 """What the letters of the members mean."""
+CURVES = "ct"
+"""Letters of those that have an amplitude at which they were found."""
 ORACLES = "e"
 """Letters of those that see the detector's statistics, which is impossible in practice."""
 KNOTS = 13
@@ -127,7 +130,7 @@ def suite_digest(members: Sequence[SuiteAttack]) -> str:
 def build_grid(member: SuiteAttack, context: SpooferContext, values: int) -> list[float]:
     """Log-spaced values of a member's setting over its whole range. Of an open-loop attack around
     the amplitude that it was found at."""
-    if member.letter == "c":
+    if member.letter in CURVES:
         return build_log_grid(*AMPLITUDE_RANGE, values)
     kind = type(make_spoofer(member.player.with_value(1.0)))
     return build_log_grid(*kind.tuning_range(context), values)
@@ -282,7 +285,7 @@ class WorstAttacks:
         """Let found curves go on beyond their range, for as long as its ends are the best of it."""
         while True:
             best = {self._best(sifted, aim, runs) for aim in aims}
-            curves = ((m, at) for m, at in best if self.attacks[m].letter == "c")
+            curves = ((m, at) for m, at in best if self.attacks[m].letter in CURVES)
             found = {(m, self._next(grids[m], at)) for m, at in curves}
             new = sorted((m, value) for m, value in found if value is not None)
             if not new:

@@ -17,6 +17,7 @@ from ...detectors.calibration_file import run_probability
 from ...limits import Frontier, compute_frontier, deflection_for
 from ...limits.bounds import WorkCallback, WorldSample, ZeroAlarm, draw_worlds, zero_alarm_bounds
 from ...limits.floor import QUANTILES, check_linear_victim
+from ...simulation.setup import Setup
 from ...simulation.tight import TightlyCoupledSetup
 from ..runs.players import PlayerSpec
 from ..runs.world import World
@@ -79,6 +80,13 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
+def expect_onset(setup: Setup) -> float:
+    """Mean number of epochs before the onset; ages are log-uniform."""
+    youngest, oldest = setup.youngest, setup.onset
+    drawn = youngest < oldest
+    return (oldest - youngest) / math.log(oldest / youngest) if drawn else float(oldest)
+
+
 class DisplacementBounds:
     """Floor of a world and zero-alarm bounds of detectors in it, over so many that are drawn.
     `budget`: of alarms, which the floor keeps; `floor_worlds`: of the floor, by default one under
@@ -103,11 +111,13 @@ class DisplacementBounds:
         setup = self.world.setup
         return setup if isinstance(setup, TightlyCoupledSetup) else None
 
-    def compute_lower_limit(self) -> dict[str, Any]:
+    def compute_lower_limit(self, worlds: int | None = None) -> dict[str, Any]:
+        """Floor over so many drawn worlds, one under every sky by default; or why there is none."""
         if self.setup is None:
             return {"why": f"no limit is known for {self.world.setup.whose}"}
         try:
-            frontier = compute_frontier(self.setup, worlds=self.floor_worlds, entropy=self.entropy)
+            drawn = worlds or self.floor_worlds
+            frontier = compute_frontier(self.setup, worlds=drawn, entropy=self.entropy)
         except ValueError as error:
             return {"why": str(error)}
         return tabulate_lower_limits(frontier, self.rates, self.budget)

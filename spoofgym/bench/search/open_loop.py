@@ -408,12 +408,13 @@ class Optima:
         spoofers: Sequence[PlayerSpec] = (),
         threads: int | None = None,
         alert_limit_m: float | None = None,
+        settings: OpenLoopSearch | None = None,
     ) -> None:
         self.bounds, self.tuning, self.spoofers = brackets, tuning, spoofers
         self.alert_limit_m = alert_limit_m
-        self.world, self.threads, own = brackets.world, threads, OpenLoopSearch()
-        runs = min(own.runs, max(RUNS_EACH * tuning.runs, 8))
-        self.settings = replace(own, runs=runs, generations=tuning.generations)
+        self.world, self.threads = brackets.world, threads
+        own = settings or OpenLoopSearch(generations=tuning.generations)
+        self.settings = replace(own, runs=min(own.runs, max(RUNS_EACH * tuning.runs, 8)))
         self._replay: Replay | None = None
         self._numbers: dict[str, int] | None = None
         self._unwatched: tuple[WarmStart, Runs] | None = None

@@ -1,0 +1,225 @@
+"""Audits: every warning has a detector that earns it, and a good one earns none."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import spoofgym
+from spoofgym.bench.experiments import audit as module
+from spoofgym.bench.experiments.audit import BUDGETS, Auditor
+from spoofgym.bench.report.audit import LINES, WIDTH, format_screen
+from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
+from spoofgym.bench.scores.audit import AgeProbe, Audit
+from spoofgym.bench.scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
+from spoofgym.bench.scores.scores import SHARES
+from spoofgym.detectors import Calibrated
+from spoofgym.tasks import EVENTS
+
+from ..outside.detectors import AverageRate, BlindAfterFiveMinutes, GrowingThreshold
+from .detector_support import SmallTask, small_task
+
+RUNS, LIMIT = 100, 2.0
+SOON = {"gain": 0.03, "limit": 0.4}
+"""For attacks of 20 s."""
+
+
+class AgedTask(SmallTask):
+    @property
+    def world_kwargs(self):
+        world = super().world_kwargs
+        return {**world, "domain": {**world["domain"], "age_s": [20.0, 60.0]}}
+
+
+class Whim(AverageRate):
+    """What it says depends on how often it has been called."""
+
+    gain, limit, calls = 0.03, 0.4, 0
+
+    def look(self, statistic, age_s):
+        Whim.calls += 1
+        return statistic * (1.0 + 1e-4 * Whim.calls)
+
+
+@pytest.fixture
+def probe(monkeypatch):
+    monkeypatch.setattr(module, "AGES_S", (20.0, 80.0, 320.0))
+    of = small_task()
+    auditor = Auditor(AgedTask("aged", of.title, of.task, of.families), "quick", threads=1)
+    size = auditor.size._replace(twins=24, ages=3)
+    return lambda judge: auditor.worlds.probe_ages(judge, size)
+
+
+def soon(kind, **more):
+    return type(kind.__name__, (kind,), {**SOON, **more})()
+
+
+def test_a_good_detector_finds_an_attack_at_any_age(probe):
+    found = probe(Calibrated(soon(AverageRate), 1.0))
+    assert found.alike
+    assert [*found.warn()] == []
+    assert 0.2 < found.share.mean() < 0.8
+    assert found.counts.mean() > 0.9
+    assert (found.missed <= found.crossed).all()
+    assert json.loads(json.dumps(found.as_dict(), allow_nan=False))["age_s"] == [20.0, 80.0, 320.0]
+
+
+def test_one_that_goes_blind_is_named_with_the_time(probe):
+    (text,) = probe(soon(BlindAfterFiveMinutes, sees_for_s=150.0)).warn()
+    assert text.startswith("goes blind between 1 min and 5 min after switch-on: it finds ")
+    assert ", 0 % after 5 min" in text
+
+
+@pytest.mark.parametrize(("doubles_after_s", "words"), [(30.0, "goes blind"), (80.0, "finds less")])
+def test_one_whose_threshold_grows_is_named_with_its_growth(doubles_after_s, words, probe):
+    found = probe(soon(GrowingThreshold, doubles_after_s=doubles_after_s))
+    (text,) = found.warn()
+    assert text.startswith(words)
+    grown = found.threshold[-1] / found.threshold[0]
+    assert f"as its threshold grows, {grown:.1f}-fold by then" in text
+    live_s = 310.0, 10.0
+    ends = (1.0 + each / doubles_after_s for each in live_s)
+    assert grown == pytest.approx(next(ends) / next(ends))
+
+
+def test_one_that_says_another_thing_of_the_same_epochs_is_found_out(probe):
+    assert not probe(Whim()).alike
+
+
+def family(key, *displacements, silent=True):
+    """Attacks of a family: the worst that is looked for, and one that was found elsewhere."""
+    aims = (*(Aim(MEASURES[0], share) for share in SHARES), Aim(MEASURES[0], limit_m=LIMIT))
+    spec = {"name": "ramp", "rate_mps": 1.0}
+    winners = []
+    for letter, moved in zip("ct", displacements, strict=False):
+        each = {MEASURES[0]: np.broadcast_to(np.asarray(moved, dtype=float), RUNS).copy()}
+        winners.append(Winner(letter, "ramp", "rate_mps", 1.0, spec, aims, each))
+    runs = np.full(RUNS, silent), np.arange(RUNS) % 16, None
+    return FamilyScore(key, False, LIMIT, Protection({}, tuple(winners), *runs))
+
+
+def audit_of(*families, alarms=0.0, found=0.5, **more):
+    """An audit with figures that are given; `alarms`: part of the runs without an attack."""
+    quiet = np.arange(RUNS) < alarms * RUNS
+    names = {WINDOW: quiet, CLEAN: quiet, **dict.fromkeys(EVENTS, quiet), **more.pop("events", {})}
+    sizes = {"runs": RUNS, "selection_runs": 4, "entropy": 0, "window_s": 160.0}
+    score = DetectorScore(
+        task="D1",
+        detector="mine",
+        alert_limit_m=LIMIT,
+        families=families or (family("ramps", 10.0),),
+        false_alarms=names,
+        **sizes,
+    )
+    shape = 5, 3, 16
+    seen = np.broadcast_to(np.arange(5)[:, None, None] < 5 * found, shape)
+    probe = AgeProbe(
+        age_s=np.array([30.0, 180.0, 600.0]),
+        rate_mps=np.ones(5),
+        counts=np.ones(shape[1:], dtype=bool),
+        found=seen,
+        crossed=np.ones(shape, dtype=bool),
+        missed=~seen,
+        displacement=np.ones(shape),
+        threshold=np.ones(3),
+        sky=np.arange(16),
+        alike=np.array(more.pop("alike", True)),
+    )
+    usual = {"title": "small", "budget": "quick", "requested_per_hour": 0.2, "cost_us": 1.0}
+    return Audit(score=score, probe=probe, **usual, **{"floor_m": None, "reference": None, **more})
+
+
+SPREAD = np.linspace(8.0, 12.0, RUNS)
+FLOOR = {"half": {"value": 20.0}, "few": {"value": 30.0}}
+
+
+@pytest.mark.parametrize(
+    ("audit", "message"),
+    [
+        (audit_of(alike=False), "two calls on the same epochs differ"),
+        (audit_of(alarms=1.0), "alarms in every run, with an attack and without one"),
+        (audit_of(found=0.0), "never alarms, with an attack or without one"),
+        (audit_of(alarms=0.1), "false alarms 2.4 (1.1 to 4.4) an hour, more than 2 times the 0.2"),
+        (
+            audit_of(events={"front": np.arange(RUNS) < 50}),
+            "takes benign events for attacks: alarms in front 50 % of runs with one, 0 % without",
+        ),
+        (
+            audit_of(family("ramps", SPREAD), family("open-loop", SPREAD - 2.0)),
+            "the search failed: ramps exceed 2.0 m",
+        ),
+        (
+            audit_of(family("open-loop", SPREAD, SPREAD + 2.0)),
+            "the search failed: attacks that were found against other detectors exceed 2.0 m",
+        ),
+        (audit_of(floor_m=FLOOR), "no attack gets beyond the 20.0 m that even a perfect detector"),
+    ],
+)
+def test_every_warning_stands_where_it_is_earned(audit, message):
+    assert any(text.startswith(message) for text in audit.warnings)
+    lines = format_screen(audit)
+    assert len(lines) <= LINES
+    assert max(map(len, lines)) <= WIDTH
+    assert message.split(":")[0] in " ".join(" ".join(lines).split())
+    assert json.dumps(audit.as_dict(), allow_nan=False)
+
+
+def test_what_is_as_it_should_be_is_not_warned_of():
+    audit = audit_of(
+        family("ramps", SPREAD),
+        family("open-loop", SPREAD + 0.1, SPREAD),
+        alarms=0.01,
+        floor_m=None,
+    )
+    assert audit.warnings == []
+    assert audit.find_worst(0.5).family == "open-loop"
+    value = audit.score.estimate_quantile(0.5).value
+    assert str(audit) == (
+        f"mine: {value:.1f} m in half of the runs (worst: open-loop), false alarms 0.23/h "
+        "(asked 0.2)"
+    )
+    silent = replace(
+        audit, score=replace(audit.score, families=(family("ramps", 1.0, silent=False),))
+    )
+    assert silent.answer == "mine: no score, as no run is silent without an attack"
+
+
+def test_a_whole_audit_of_a_detector_of_ones_own(tmp_path):
+    spec = {"name": "tests.outside.detectors:AverageRate", "threshold_scale": 30.0}
+    sizes = {"runs": 6, "selection_runs": 4, "families": ["ramps", "dashes"], "threads": 1}
+    found = spoofgym.audit(spec, small_task(), "quick", folder=tmp_path, **sizes)
+    again = spoofgym.audit(spec, small_task(), "quick", folder=tmp_path, **sizes)
+    assert {**again.as_dict(), "cost_us": 0.0} == {**found.as_dict(), "cost_us": 0.0}
+    assert found.requested_per_hour is None
+    assert "(thresholds as published)" in found.answer
+    names = {path.stem for path in (tmp_path / "small" / "attacks").iterdir()}
+    assert {name.rpartition("-")[2] for name in names} == {"ramps", "dashes", "worst"}
+    assert found.zero_alarm is None
+    assert found.cost_us > 0.0
+
+
+def test_a_quick_audit_scales_everything():
+    quick, standard, full = BUDGETS.values()
+    for small, large in ((quick, standard), (standard, full)):
+        assert small.runs < large.runs
+        assert small.selection_runs < large.selection_runs
+        assert small.search.runs < large.search.runs
+        assert small.twins < large.twins
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        (AverageRate, None),
+        (GrowingThreshold, "threshold grows"),
+        (BlindAfterFiveMinutes, "goes blind between 3 min and 10 min"),
+    ],
+)
+def test_flaws_of_detectors_from_outside_stand_in_words_in_the_first_task(kind, words):
+    name = f"tests.outside.detectors:{kind.__name__}"
+    found = spoofgym.audit(name, "D1", "quick", families=["ramps", "open-loop"])
+    aged = [text for text in found.warnings if "switch" in text]
+    assert len(aged) == (words is not None)
+    assert words is None or words in aged[0]

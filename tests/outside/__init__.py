@@ -1,0 +1,1 @@
+"""Detectors as somebody outside of the package writes them."""
