@@ -76,12 +76,17 @@ def audit_(
     say = lambda text: typer.echo(text, err=True)  # noqa: E731
     for auditor in auditors:
         cells = auditor.prepare(spec, progress, say)
-        results = opt.finish_experiment(
-            cells, auditor.folder, jobs=jobs, backend=backend, shard=shard, threads=threads
-        )
+        try:
+            results = opt.finish_experiment(
+                cells, auditor.folder, jobs=jobs, backend=backend, shard=shard, threads=threads
+            )
+        except typer.Exit:  # a shard that leaves cells to others; the next task has its own
+            continue
         found.append(cells.conclude(results))
         scores = {"detectors": [found[-1].as_dict()]}
         written += write_page(results.store, build_scores_page(results.store, scores))
+    if not found:
+        return
     if as_json:
         print_json([each.as_dict() for each in found])
     else:

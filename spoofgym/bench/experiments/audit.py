@@ -25,7 +25,8 @@ from ...core.progress import ProgressBar
 from ...core.registry import check_choice, slug, whole_number
 from ...core.settings import compute_digest, describe, outside_sources
 from ...detectors import Calibrated, Detector, LearnedDetector, detector_in_world
-from ...detectors.calibrated import calibrated_parts, list_factors, resolve_thresholds
+from ...detectors.build import bare_detector
+from ...detectors.calibrated import calibrated_parts, list_factors, resolve_thresholds, unwrap
 from ...envs.context import spoofer_context
 from ...simulation.setup import Setup
 from ...simulation.simulator import weighs
@@ -375,7 +376,7 @@ class Auditor:
         """Cells of a detector, which is calibrated first; `say` is given how long both take."""
         entry, worlds = specify_detectors([detector])[0], self.worlds
         judge, world = detector_in_world(detector), worlds.world.setup
-        bare, missing = judge.detector if isinstance(judge, Calibrated) else judge, 0
+        bare, missing = unwrap(bare_detector(detector)), 0
         try:
             resolve_thresholds(judge, world)
         except ValueError:
