@@ -37,6 +37,8 @@ FAMILIES = Table(
     ("runs that count", "counted"),
 )
 
+UNSCORED = "There are no scores yet: the command that plays them goes on."
+
 
 def build_scores_page(
     store: Store, scores: Mapping[str, Any] | None = None, replay: Row | None = None
@@ -52,7 +54,7 @@ def build_scores_page(
     keys = [] if task is None or records else [each.key for each in task.families]
     return Page(
         title=f"{config['task']}: {', '.join(found)}",
-        verdict=[line for record in records for line in write_score_verdict(record)],
+        verdict=[line for record in records for line in write_score_verdict(record)] or [UNSCORED],
         missing=[f"{each} / {key}" for each in found for key in keys if (each, key) not in played],
         pictures=list_score_pictures(found, rows, records, limit_m),
         sheets=[

@@ -14,7 +14,7 @@ from spoofgym.bench import CampaignResults, run_campaign, summarize
 from spoofgym.bench.experiments import Store
 from spoofgym.bench.experiments.store import OUTPUTS, Cell, Result
 from spoofgym.bench.report.campaign_page import build_page, choose_worst_run, replay_worst
-from spoofgym.bench.report.detector_page import build_scores_page
+from spoofgym.bench.report.detector_page import build_scores_page, load_families
 from spoofgym.bench.report.game_page import build_game_page
 from spoofgym.bench.report.page import MOST_BYTES, load_replay, render_page, write_page
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, RunRecord, Winner
@@ -125,8 +125,6 @@ def scored(detector, family, held_out):
 
 
 def test_families_of_attacks_have_a_page_finished_or_not(tmp_path):
-    from spoofgym.bench.report.detector_page import load_families
-
     store, sizes = Store(tmp_path), {"runs": [60, 0], "selection": {"runs": 8}}
     store.open("protect", {"task": "D1", "alert_limit_m": 20.0})
     for family, held_out in (("ramps", False), ("quiet", True)):
@@ -134,6 +132,7 @@ def test_families_of_attacks_have_a_page_finished_or_not(tmp_path):
         store.put(Cell(f"{family} {NAME}", named), Result(*scored(NAME, family, held_out).parts()))
     text = render_page(build_scores_page(store))
     assert f"<b>Not finished</b>: {html.escape(NAME)} / profiles, " in text
+    assert "<p>There are no scores yet" in text
     (families,) = load_families(store).values()
     alarms = {"clean, judged window": np.zeros(60, dtype=bool)}
     alarms |= dict.fromkeys(("clock_step", "satellite_loss", "front"), np.ones(60, dtype=bool))
