@@ -84,7 +84,8 @@ def audit_(
             continue
         found.append(cells.conclude(results))
         scores = {"detectors": [found[-1].as_dict()]}
-        written += write_page(results.store, build_scores_page(results.store, scores))
+        page = build_scores_page(results.store, scores)
+        written.append(write_page(results.store, page)[-1])
     if not found:
         return
     if as_json:

@@ -246,4 +246,4 @@ def _report(
         print_campaign(summary)
     elif summary["missing"]:
         typer.echo(f"not finished: {', '.join(summary['missing'])}")
-    typer.echo(f"{state_answer(summary)} Report: {', '.join(map(str, written))}")
+    typer.echo(f"{state_answer(summary)} Report: {written[-1]}")
