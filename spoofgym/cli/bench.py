@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from ..bench.experiments.campaign import CampaignResults
     from ..bench.search.amplitude import TuningResult
 
+WIDTH = 100
+"""Characters of a line of the answer."""
 Verbose = Annotated[
     bool, Option("--verbose", "-v", help="Print the report with all tables and settings.")
 ]
@@ -224,4 +227,5 @@ def _report(results: CampaignResults, as_json: bool, reports: Reports, verbose: 
         typer.echo(written[0].read_text())
     if summary["missing"]:
         typer.echo(f"not finished: {', '.join(summary['missing'])}")
-    typer.echo(f"{state_answer(summary)} Report: {', '.join(map(str, written))}")
+    answer = f"{state_answer(summary)} Report: {', '.join(map(str, written))}"
+    print_lines(wrap(answer, WIDTH, break_long_words=False, break_on_hyphens=False))
