@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
     from ..bench.search.amplitude import TuningResult
 
+WIDTH = 100
+"""Characters of a line of the answer."""
 Verbose = Annotated[
     bool, Option("--verbose", "-v", help="Print the report with all tables and settings.")
 ]
@@ -246,4 +249,5 @@ def _report(
         print_campaign(summary)
     elif summary["missing"]:
         typer.echo(f"not finished: {', '.join(summary['missing'])}")
-    typer.echo(f"{state_answer(summary)} Report: {written[-1]}")
+    answer = f"{state_answer(summary)} Report: {written[-1]}"
+    print_lines(wrap(answer, WIDTH, break_long_words=False, break_on_hyphens=False))

@@ -142,7 +142,8 @@ def played(monkeypatch, *options):
         raise SystemExit
 
     monkeypatch.setattr(import_module("spoofgym.cli.bench"), "calibrate_suite", stop)
-    CliRunner().invoke(app, ["bench", *options])
+    result = CliRunner().invoke(app, ["bench", *options])
+    assert found, result.output
     return found[0]
 
 

@@ -35,7 +35,7 @@ def test_the_terminal_shows_a_row_for_each_detector_within_100_columns_and_the_a
     best = "solution-separation(filter=augmented,spacing=geometric): 31.6 ("
     answer = state_answer(world)
     assert answer.startswith(f"Tightest of {len(rows) - 2}: {best}")
-    assert answer.endswith("/h (asked 0.2).")
+    assert answer.endswith("/h (requested 0.2).")
     none = {**world, "protection": []}  # without the attack suite
     assert "undetected in the mean at 5 % of alarms (worst: " in state_answer(none)
 

@@ -499,9 +499,9 @@ def state_answer(summary: Row) -> str:
     name, found = min(own or scores, key=lambda each: each[1]["value"] or 0.0)
     (row,) = (row for row in summary["detectors"] if row["detector"] == name)
     claimed = row["claimed"]
-    asked = f" (asked {claimed['false_alarms_per_hour']:g})" if claimed else ""
+    requested = f" (requested {claimed['false_alarms_per_hour']:g})" if claimed else ""
     return (
         f"{f'Tightest of {len(own)}: ' if len(own) > 1 else ''}{shorten_label(name)}: "
         f"{interval(found)} m undetected {where} (worst: {found['spoofer']}), false alarms "
-        f"{metres(row['false_alarms_per_hour']['value'])}/h{asked}."
+        f"{metres(row['false_alarms_per_hour']['value'])}/h{requested}."
     )
