@@ -49,7 +49,13 @@ def audit_(
     out: Annotated[Path, Option(help="Folder of finished parts and of the worst attacks.")] = Path(
         "results/audit"
     ),
-    seed: opt.Seed = 0,
+    seed: Annotated[
+        int | None,
+        Option(
+            min=0,
+            help="Seed of all runs. Default: drawn at the first audit into a folder, and printed.",
+        ),
+    ] = None,
     threads: opt.Threads = None,
     jobs: opt.Processes = 1,
     backend: opt.Backend = "local",

@@ -94,7 +94,7 @@ def outside_sources(*things: Any) -> dict[str, str | None]:
 
     They are those of modules: of the classes, their bases, and what these import, but for what is
     installed; and those of ONNX files and their cards.  A class whose source can't be read, such
-    as one that was typed in, has None.
+    as one that was typed in, has None.  What is loaded elsewhere has a method `list_sources`.
     """
     found: dict[str, str | None] = {}
     for thing in _within(things):
@@ -104,6 +104,8 @@ def outside_sources(*things: Any) -> dict[str, str | None]:
                 if path.is_file():
                     found[str(path)] = _digest_of_file(path)
             continue
+        if hasattr(thing, "list_sources"):
+            found |= thing.list_sources()
         for kind in type(thing).__mro__:
             if _is_outside(kind.__module__, type(thing)):
                 try:

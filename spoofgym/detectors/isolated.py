@@ -325,6 +325,11 @@ class Isolated(Detector):
             raise TypeError(self._traits["identity"])
         return self._traits["identity"]
 
+    def list_sources(self) -> dict[str, str | None]:
+        """As `outside_sources` has them of the detector; None by name where none is readable."""
+        found: dict[str, str | None] = self.identity().get("sources", {})
+        return found or {str(self.identity()["name"]): None}
+
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)
         limits = self.limit_s, self.start_limit_s

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -27,6 +28,7 @@ from ...core.settings import compute_digest, describe, outside_sources
 from ...detectors import Calibrated, Detector, LearnedDetector, detector_in_world
 from ...detectors.build import bare_detector
 from ...detectors.calibrated import calibrated_parts, list_factors, resolve_thresholds, unwrap
+from ...detectors.isolated import isolate
 from ...envs.context import spoofer_context
 from ...simulation.setup import Setup
 from ...simulation.simulator import weighs
@@ -114,6 +116,8 @@ AGES_S, LIVE_AFTER_S = (30.0, 180.0, 600.0, 1800.0, 5400.0), 10.0
 """From switch-on to the onsets at which a detector meets the same ramps, and until it is live."""
 RAMPS = (0.6, 1.2, 2.4, 4.8, 9.6)
 """How far these ramps displace by the end of the attack, in parts of the alert limit."""
+ENTROPY = "entropy"
+"""File of a folder: the entropy that was drawn for its runs."""
 FALSE_ALARMS, AGES, FLOOR = "false alarms", "ages", "floor"
 """Cells that are of no family."""
 TIMED, TIMED_EPOCHS = 64, 40
@@ -323,6 +327,22 @@ def _compare_twice(start: WarmStart, clean: Runs, again: WarmStart) -> bool:
     return bool(same and np.allclose(twin.peak, clean.peak[:few], rtol=ALIKE, equal_nan=True))
 
 
+def draw_entropy(folder: Path | None) -> int:
+    """Entropy that no detector has seen; of a folder, that of its first audit."""
+    drawn = secrets.randbits(32)
+    if folder is None:
+        return drawn
+    file, own = folder / ENTROPY, folder / f"{ENTROPY}.{os.getpid()}-{drawn}"
+    write_file(own, f"{drawn}\n".encode())
+    try:
+        os.link(own, file)  # of several shards one is the first
+    except FileExistsError:
+        drawn = int(file.read_text())
+    finally:
+        own.unlink()
+    return drawn
+
+
 class Auditor:
     """Audits detectors of one task on the same runs; those that only look share their passes.
 
@@ -337,7 +357,7 @@ class Auditor:
         runs: int | None = None,
         selection_runs: int | None = None,
         families: Sequence[str] | None = None,
-        entropy: int = 0,
+        entropy: int | None = None,
         threads: int | None = None,
         folder: str | os.PathLike[str] | None = None,
     ) -> None:
@@ -352,9 +372,10 @@ class Auditor:
         if not keys:
             raise ValueError("`families` must name at least one family of attacks, got none")
         self.families = tuple(self.task.family(key) for key in dict.fromkeys(keys))
-        self.entropy = whole_number("`entropy`", entropy)
-        self.worlds = Worlds(self.task, self.entropy, threads)
         self.folder = None if folder is None else Path(folder) / self.task.key
+        drawn = draw_entropy(self.folder) if entropy is None else entropy
+        self.entropy = whole_number("`entropy`", drawn)
+        self.worlds = Worlds(self.task, self.entropy, threads)
 
     def scores(
         self, detectors: Iterable[Any], *, show: ProgressBar | None = None
@@ -373,7 +394,9 @@ class Auditor:
         show: ProgressBar | None = None,
         say: Callable[[str], None] = lambda _: None,
     ) -> AuditCells:
-        """Cells of a detector, which is calibrated first; `say` is given how long both take."""
+        """Cells of a detector, which is calibrated first; `say` is given how long both take. A
+        foreign one that is given as text has a process of its own."""
+        detector = isolate(detector) if isinstance(detector, str | Mapping) else detector
         entry, worlds = specify_detectors([detector])[0], self.worlds
         judge, world = detector_in_world(detector), worlds.world.setup
         bare, missing = unwrap(bare_detector(detector)), 0
@@ -646,7 +669,7 @@ def audit(
     runs: int | None = None,
     selection_runs: int | None = None,
     families: Sequence[str] | None = None,
-    entropy: int = 0,
+    entropy: int | None = None,
     threads: int | None = None,
     progress: ProgressBar | None = None,
     folder: str | os.PathLike[str] | None = None,
@@ -662,7 +685,8 @@ def audit(
     ----------
     detector : str, mapping or Detector
         As `make_detector` takes it, at 0.2 false alarms an hour where it requests none; the
-        thresholds are those of the task's world everywhere.
+        thresholds are those of the task's world everywhere.  ``"module:Class"`` runs in a process
+        of its own; an object, in this one.
     task : str or DetectorTask
         ``"D1"`` to ``"D3"``, ``"v1/D1"`` to ``"v1/D4"``, or one of your own.
     budget : {"standard", "quick", "full"}
@@ -673,8 +697,9 @@ def audit(
         on; by default those of the budget.
     families : sequence of str, optional
         Keys of those that are played; by default all of the task.
-    entropy : int
-        Seed of all of them.
+    entropy : int, optional
+        Seed of all of them.  By default it is drawn, so that a detector that plays known seeds
+        itself gains nothing; a folder keeps that of its first audit.
     threads : int, optional
         Threads of the engine.
     progress : callable, optional

@@ -41,7 +41,7 @@ def _head(found: dict[str, Any]) -> Iterator[str]:
     yield f"{found['task']}: {found['title']}"
     yield (
         f"{found['detector']}: {found['runs']} runs of each of {len(found['families'])} families, "
-        f"chosen on {found['selection_runs']} ({found['budget']})"
+        f"chosen on {found['selection_runs']} ({found['budget']}, seed {found['entropy']})"
     )
     yield ""
 

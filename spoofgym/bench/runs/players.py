@@ -15,7 +15,8 @@ from ...core.declared import check_number
 from ...core.registry import Spec, build_spec, format_label, inspect_settings, slug
 from ...core.settings import describe
 from ...detectors import DETECTORS, Calibrated, Detector, detector_in_world
-from ...detectors.build import get_default_request, spec_of_judge
+from ...detectors.build import get_default_request, spec_of_judge, split_spec
+from ...detectors.isolated import ISOLATED, Isolated
 from ...detectors.pool import normalize_weights
 from ...envs.spoofer_binding import bound_spoofer, find_card_settings, monitors_for, setup_of_card
 from ...policies import SpooferCard, list_shipped, load_card
@@ -171,7 +172,10 @@ def specify_detector(spec: str | Mapping[str, Any] | Detector) -> PlayerSpec:
     detector = detector_in_world(spec)
     full, default = spec_of_judge(detector), get_default_request()
     inner = detector.detector if isinstance(detector, Calibrated) else detector
-    if inner.card is None:
+    if full["name"] == ISOLATED:  # named as what is in it
+        own = {key: value for key, value in full.items() if key not in inspect_settings(Isolated)}
+        label = format_label({**own, **split_spec(full["detector"])[0]}, default)
+    elif inner.card is None:
         label = _label("detector", DETECTORS, inner, full, default)
     else:
         shown = {key: value for key, value in full.items() if key != "sha256"}
