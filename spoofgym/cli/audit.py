@@ -22,7 +22,7 @@ def audit_(
     budget: Annotated[
         str,
         Option(
-            help="Size of all that is played: quick, standard or full, some 1, 6 or 20 minutes of "
+            help="Size of all that is played: quick, standard or full, some 1, 3 or 12 minutes of "
             "a processor for a plain detector in D1."
         ),
     ] = "standard",

@@ -99,7 +99,7 @@ BUDGETS = {
     "standard": AuditBudget(400, 96, OpenLoopSearch(runs=256), 64, 5, 4),
     "full": AuditBudget(1500, 384, OpenLoopSearch(), 192, 5, None),
 }
-"""Sizes by their names: about 1, 6 and 20 minutes of a processor for a plain detector in D1."""
+"""Sizes by their names: about 1, 3 and 12 minutes of a processor for a plain detector in D1."""
 SIFTED = 4
 """Part of the selection that sifts, as one in so many."""
 SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
@@ -690,7 +690,7 @@ def audit(
     task : str or DetectorTask
         ``"D1"`` to ``"D3"``, ``"v1/D1"`` to ``"v1/D4"``, or one of your own.
     budget : {"standard", "quick", "full"}
-        Size of all that is played: some 6, 1 or 20 minutes of a processor for a plain detector in
+        Size of all that is played: some 3, 1 or 12 minutes of a processor for a plain detector in
         D1.
     runs, selection_runs : int, optional
         Evaluation runs of every family, which decide nothing, and runs that its attacks are chosen
