@@ -8,8 +8,8 @@ common mistake at a time undone: the likeliest cause is the one whose innovation
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -262,11 +262,6 @@ def flag_epochs(misfit: Floats) -> NDArray[np.str_]:
     return flag
 
 
-class _Mistake(NamedTuple):
-    words: str
-    undo: Callable[[Recording, NavState], tuple[dict[str, Any], dict[str, Any]]]
-
-
 def _shift(recording: Recording, elapsed: Any) -> dict[str, Any]:
     """Satellites a little later on their orbits; `elapsed` (K, n) or a number [s]."""
     s, v = (np.asarray(getattr(recording, f"satellite_{x}_e")) for x in ("position", "velocity"))
@@ -292,33 +287,35 @@ def _without_offsets(recording: Recording, initial: NavState) -> dict[str, Any]:
     return {"pseudorange": ranges - left[first, np.arange(left.shape[1])]}
 
 
-MISTAKES = (
-    _Mistake(
-        "`angular_rate_b` is in deg/s",
-        lambda x, _: ({"angular_rate_b": DEGREE * np.asarray(x.angular_rate_b)}, {}),
+Changes = tuple[dict[str, Any], dict[str, Any]]
+MISTAKES: dict[str, Callable[[Recording, NavState], Changes]] = {
+    "`angular_rate_b` is in deg/s": lambda x, _: (
+        {"angular_rate_b": DEGREE * np.asarray(x.angular_rate_b)},
+        {},
     ),
-    _Mistake("`C_eb` is transposed", lambda _, start: ({}, {"C_eb": np.asarray(start.C_eb).T})),
-    _Mistake(
-        "`C_eb` is an attitude to local axes, north, east and down",
-        lambda _, start: ({}, {"C_eb": _local_axes(start) @ np.asarray(start.C_eb)}),
+    "`C_eb` is transposed": lambda _, start: ({}, {"C_eb": np.asarray(start.C_eb).T}),
+    "`C_eb` is an attitude to local axes, north, east and down": lambda _, start: (
+        {},
+        {"C_eb": _local_axes(start) @ np.asarray(start.C_eb)},
     ),
-    _Mistake(
-        "satellites are where they were 18 leap seconds before (UTC for GPS time)",
-        lambda x, _: (_shift(x, LEAP_SECONDS), {}),
+    "satellites are where they were 18 leap seconds before (UTC for GPS time)": lambda x, _: (
+        _shift(x, LEAP_SECONDS),
+        {},
     ),
-    _Mistake(
-        "satellites are where they will be 18 leap seconds after",
-        lambda x, _: (_shift(x, -LEAP_SECONDS), {}),
+    "satellites are where they will be 18 leap seconds after": lambda x, _: (
+        _shift(x, -LEAP_SECONDS),
+        {},
     ),
-    _Mistake(
-        "satellites are where they are when a signal arrives, not when it leaves them",
-        lambda x, _: (_shift(x, np.asarray(x.pseudorange) / -SPEED_OF_LIGHT), {}),
+    "satellites are where they are when a signal arrives, not when it leaves them": lambda x, _: (
+        _shift(x, np.asarray(x.pseudorange) / -SPEED_OF_LIGHT),
+        {},
     ),
-    _Mistake(
-        "the satellites' clocks were not taken out of the pseudoranges",
-        lambda x, start: (_without_offsets(x, start), {}),
+    "the satellites' clocks were not taken out of the pseudoranges": lambda x, start: (
+        _without_offsets(x, start),
+        {},
     ),
-)
+}
+"""What undoes each common mistake: fields of a recording and of the initial state."""
 
 
 def explain_flags(
@@ -339,7 +336,11 @@ def explain_flags(
     cause = _blame_signal(by_signal[flagged])
     if first < TRIED_EPOCHS:
         before = _typical(misfit[: len(np.asarray(head.gnss_time))])
-        after = {words: _typical(found) for words, found in _undone(misfit_with, head, initial)}
+        after = {}
+        for words, undo in MISTAKES.items():
+            changed, start = undo(head, initial)
+            again = dataclasses.replace(initial, **start)
+            after[words] = _typical(misfit_with(dataclasses.replace(head, **changed), again))
         best = min(after, key=lambda words: after[words])
         if after[best] < min(MISFIT, 0.1 * before):
             cause = best
@@ -348,15 +349,6 @@ def explain_flags(
         f"{_time(recording, first)}: innovations are {times} what the filter believes; the "
         f"likeliest cause: {cause}"
     )
-
-
-def _undone(
-    misfit_with: Callable[[Recording, NavState], Floats], head: Recording, initial: NavState
-) -> Iterator[tuple[str, Floats]]:
-    for words, undo in MISTAKES:
-        changed, start = undo(head, initial)
-        again = dataclasses.replace(initial, **start)
-        yield words, misfit_with(dataclasses.replace(head, **changed), again)
 
 
 def _typical(misfit: Floats) -> float:

@@ -122,6 +122,17 @@ def run_epochs(table, memories, action, weights, work, attack, hold, detector, w
 
 
 @njit
+def find_diverged(position, farthest):
+    """First receiver whose position (B, d) is not finite or further away than `farthest` [m]; -1
+    without one."""
+    for b in range(position.shape[0]):
+        for i in range(position.shape[1]):
+            if not abs(position[b, i]) <= farthest:
+                return b
+    return -1
+
+
+@njit
 def displace(
     position_e, reference_e, rows, C_en, epochs, direction, worst, origin, displacement, lo, hi
 ):

@@ -31,6 +31,7 @@ from ..detectors.base import (
 )
 from ..detectors.calibrated import resolve_thresholds
 from ..receiver.epoch import Epoch
+from ._kernels import find_diverged
 from .domain import Choice, FloatArray, apply_choices, draw
 from .monitors import Monitor, name_detector
 from .setup import Run, Setup, make_generators, seeds_of_runs
@@ -99,6 +100,14 @@ class Sequel(Protocol):
 
     def __call__(self, simulator: Any, verdict: Verdict) -> None:
         """Do all of it."""
+
+
+FARTHEST = 1e9
+"""Coordinate of an estimated position from which on it is none [m]."""
+
+
+class FilterDiverged(ArithmeticError):
+    """The filter of a victim has no position any more, so that no score of it means anything."""
 
 
 class Simulator(ABC):
@@ -355,7 +364,11 @@ class Simulator(ABC):
         return self.predict(None)
 
     def judge(self) -> Verdict:
-        self.verdict = judge_epoch(self.detector, self.epoch)
+        try:
+            self.verdict = judge_epoch(self.detector, self.epoch)
+        except ValueError:  # a verdict that is not finite may be the filter's fault
+            self.check_converged()
+            raise
         for monitor in self.monitors:
             monitor.update(self)
         return self.verdict
@@ -366,8 +379,19 @@ class Simulator(ABC):
             checked_weights(weights, self.epoch)
         self.weights = self.ones if weights is None else weights
         self._correct(weights)
+        self.check_converged()
         for monitor in self.monitors:
             monitor.observe_update(self)
+
+    def check_converged(self) -> None:
+        """Raise `FilterDiverged` where an estimated position is none, whatever the detector."""
+        position = self.position
+        b = find_diverged(position, FARTHEST)
+        if b >= 0:
+            raise FilterDiverged(
+                f"the filter of receiver {b} of {len(position)} has diverged at "
+                f"{self.time_s()[b]:g} s: its position is {position[b].tolist()}"
+            )
 
     def step(
         self,

@@ -616,7 +616,9 @@ class TightlyCoupledSimulator(Simulator):
         self._outcomes.clear()
         self._first_half(what, command, attacked, form, detector, sequel, count)
         if _kernels.UNSOUND in self._outcomes:
+            self.check_converged()
             check_verdict(verdict, self.detector, self.epoch)
+        self.check_converged()
         self.verdict = verdict
         return verdict
 

@@ -1,5 +1,7 @@
 """Thresholds: quantiles of clean runs, and those that follow the false alarms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -132,9 +134,16 @@ def test_calibrations_are_stored_by_the_frozen_detector(tmp_path):
     first = duel_v0.calibrate_policy(policy, **SETTINGS, store=tmp_path)
     (path,) = tmp_path.iterdir()
     assert duel_v0.Calibration.load(path) == first
-    # what is there is taken as it is
-    path.write_text(path.read_text().replace('"entropy":0', '"entropy":7'))
-    assert duel_v0.calibrate_policy(policy, **SETTINGS, store=tmp_path).entropy == 7
+    # what is there is taken as it is, if it is that of these runs
+    later = replace(first, window_s=2.0 * first.window_s).save(path)
+    assert duel_v0.calibrate_policy(policy, **SETTINGS, store=tmp_path) == later
+    replace(first, entropy=7).save(path)
+    with pytest.raises(ValueError, match=r"must have .* runs of seed 0, got .* of 7"):
+        duel_v0.calibrate_policy(policy, **SETTINGS, store=tmp_path)
+    replace(first, world={**first.world, "decision_delay": 99}).save(path)
+    with pytest.raises(ValueError, match=r"something else than policy in .*: world decision_delay"):
+        duel_v0.calibrate_policy(policy, **SETTINGS, store=tmp_path)
+    first.save(path)
     for numbers in ({}, {"runs": np.int64(SETTINGS["runs"]), "seed": np.int64(0)}):
         again = duel_v0.calibrate_policy(other, **{**SETTINGS, **numbers}, store=tmp_path)
         assert again.largest == first.largest

@@ -5,10 +5,15 @@ import pytest
 
 from spoofgym.detectors import Never
 from spoofgym.receiver import TightlyCoupled, replay
-from spoofgym.simulation import Engine, TightlyCoupledSetup
+from spoofgym.simulation import (
+    Engine,
+    LooselyCoupledSetup,
+    TightlyCoupledSetup,
+    WheeledRobotSetup,
+)
 from spoofgym.simulation._kernels import NO_FORM
 from spoofgym.simulation.recording import record_run
-from spoofgym.simulation.simulator import Simulator
+from spoofgym.simulation.simulator import FilterDiverged, Simulator
 from spoofgym.simulation.tight import TightlyCoupledSimulator
 
 from ..envs.support import SHORT
@@ -225,3 +230,36 @@ def test_an_exported_episode_replays_to_the_same_bits(attacked, grade):
     np.testing.assert_array_equal(
         solution.sd[-1], np.sqrt(np.diagonal(engine.simulator.buffers.covariance[0]))
     )
+
+
+EWMA = {"name": "ewma", "thresholds": "nominal"}
+VICTIMS = {
+    "compiled never": (lambda: TightlyCoupledSetup(timeline=SHORT, detector="never"), 9),
+    "compiled ewma": (lambda: TightlyCoupledSetup(timeline=SHORT, detector=EWMA), 9),
+    "apart": (
+        lambda: TightlyCoupledSetup(
+            timeline=SHORT, detector={"name": "snapshot-chi2", "thresholds": "nominal"}
+        ),
+        9,
+    ),
+    "loose": (lambda: LooselyCoupledSetup(timeline=SHORT, detector="never"), 2),
+    "robot": (lambda: WheeledRobotSetup(detector="never"), 2),
+}
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 9e10])
+@pytest.mark.parametrize("name", VICTIMS)
+def test_a_filter_that_has_diverged_is_stopped_whatever_the_detector(name, value):
+    build, receivers = VICTIMS[name]
+    engine = Engine(receivers, build(), threads=1)
+    engine.reset([np.random.default_rng(number) for number in range(receivers)])
+    engine.step(None)
+    simulator = engine.simulator
+    if name in ("loose", "robot"):
+        simulator.position[1] = value
+    else:
+        position = simulator.buffers.fields["position_e"].copy()
+        position[1] = value
+        simulator.buffers.fields["position_e"] = position
+    with pytest.raises(FilterDiverged, match=f"receiver 1 of {receivers} has diverged at .* s: "):
+        engine.step(None)
