@@ -15,9 +15,10 @@ command goes on with the seed that was learning.
 
 from __future__ import annotations
 
+import copy
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -40,7 +41,12 @@ from spoofgym.bench.search.amplitude import EXACT, TuningResult
 from spoofgym.core.progress import ProgressBar
 from spoofgym.core.registry import check_choice
 from spoofgym.sb3 import SpoofVecEnv
-from spoofgym.spoofers.learned import ModelPolicy, describe_env, get_normalization
+from spoofgym.spoofers.learned import (
+    ModelPolicy,
+    describe_env,
+    get_normalization,
+    make_function,
+)
 from spoofgym.spoofers.residual import SHARE
 
 from .offsets_ppo import NUM_ENVS, PACE, PLAIN, WORLD
@@ -208,15 +214,9 @@ def make_model(
 
 def freeze(model: PPO) -> ModelPolicy:
     """The policy as it is now, apart from the one that goes on learning."""
-    spaces, seen = (model.observation_space, model.action_space), get_normalization(model)
-    policy = model.policy_class(*spaces, lambda _: 0.0, **model.policy_kwargs)
-    policy.load_state_dict(model.policy.state_dict())
-    policy.set_training_mode(False)
-
-    def act(observation: Any) -> Any:
-        given = observation if seen is None else seen(observation)
-        return policy.predict(given, deterministic=True)[0]
-
+    policy, normalize = make_function(copy.deepcopy(model.policy)), get_normalization(model)
+    assert normalize is not None  # as of `make_model`
+    act = lambda seen: policy(normalize(seen))  # noqa: E731
     return ModelPolicy(act, label="residual", **describe_env(model.get_env()))
 
 
@@ -289,24 +289,18 @@ def list_trainings(
     """The first seed at every price, and the others at the better one."""
     own = {**case._asdict(), "plain": PLAIN, "full_ratios": FULL_RATIOS}
     first, *others = settings.seeds
-    trials = {
-        case.name_trial(price_m): Part(
-            {**own, "price_m": price_m, "seed": first},
-            lambda done, _, x=price_m: train(settings, case, take(done), x, first),
-            after=after,
-        )
-        for price_m in settings.prices_m
-    }
-    more = {
-        case.name_seed(seed): Part(
-            {**own, "prices_m": settings.prices_m, "first": first, "seed": seed},
-            lambda done, _, x=seed: train(
-                settings, case, take(done), choose_trial(settings, case, done)["price_m"], x
-            ),
-            after=(*after, *trials),
-        )
-        for seed in others
-    }
+
+    def make_part(seed: int, price_m: float | None, before: Iterable[str], **told: Any) -> Part:
+        def make(done: dict[str, Any], _: Any) -> dict[str, Any]:
+            price = price_m or choose_trial(settings, case, done)["price_m"]
+            return train(settings, case, take(done), price, seed)
+
+        return Part({**own, **told, "seed": seed}, make, after=(*after, *before))
+
+    prices_m = settings.prices_m
+    trials = {case.name_trial(x): make_part(first, x, (), price_m=x) for x in prices_m}
+    chosen = {"prices_m": prices_m, "first": first}
+    more = {case.name_seed(x): make_part(x, None, trials, **chosen) for x in others}
     return trials | more
 
 
