@@ -15,7 +15,6 @@ command goes on with the seed that was learning.
 
 from __future__ import annotations
 
-import copy
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -65,9 +64,12 @@ CHOICE, FINAL = 1, 2
 """Entropy of the runs on which all is chosen, and of those that are scored."""
 SEARCH_MINUTES, MINUTES = 6.0, 3.0
 """Of a core, roughly: a search with the scripts' scores, and a training of 200,000 decisions."""
-HEAD = ("detector", "attack", "sees", "price of an alarm [m]", "score, median and range [m]",
-        "over its base, each seed", "over scripted feedback, each seed",
-        "last policy over its base", "alarms as trained [%]")  # fmt: skip
+HEAD = (
+    *("detector", "attack", "sees", "price of an alarm [m]"),
+    *("score [m], of several seeds median and range",),
+    *("over its base, each seed (a script: over the open-loop attack)",),
+    *("over scripted feedback, each seed", "last policy over its base", "alarms as trained [%]"),
+)
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,8 @@ def find_open_loop(settings: Settings, detector: str) -> dict[str, Any]:
 
 def find_feedback(settings: Settings, detector: str, curve: dict[str, Any]) -> dict[str, Any]:
     """The best `full_ratio` of feedback along a curve, as a base and as the script itself."""
-    judge, found = make_judge(settings, detector, CHOICE), {}
+    judge = make_judge(settings, detector, CHOICE)
+    found: dict[str, Any] = {}
     tried = [{**curve, "name": SCRIPT, "full_ratio": each} for each in FULL_RATIOS]
     for name, make in (("spec", lambda x: correct_nothing(FEEDBACK, x)), ("script", lambda x: x)):
         fits = [judge.fit(make(each)) for each in tried]
@@ -214,9 +217,12 @@ def make_model(
 
 def freeze(model: PPO) -> ModelPolicy:
     """The policy as it is now, apart from the one that goes on learning."""
-    policy, normalize = make_function(copy.deepcopy(model.policy)), get_normalization(model)
+    spaces, normalize = (model.observation_space, model.action_space), get_normalization(model)
     assert normalize is not None  # as of `make_model`
-    act = lambda seen: policy(normalize(seen))  # noqa: E731
+    policy = model.policy_class(*spaces, lambda _: 0.0, **model.policy_kwargs)
+    policy.load_state_dict(model.policy.state_dict())
+    play_policy = make_function(policy)
+    act = lambda seen: play_policy(normalize(seen))  # noqa: E731
     return ModelPolicy(act, label="residual", **describe_env(model.get_env()))
 
 
@@ -290,9 +296,9 @@ def list_trainings(
     own = {**case._asdict(), "plain": PLAIN, "full_ratios": FULL_RATIOS}
     first, *others = settings.seeds
 
-    def make_part(seed: int, price_m: float | None, before: Iterable[str], **told: Any) -> Part:
+    def make_part(seed: int, fixed_m: float | None, before: Iterable[str], **told: Any) -> Part:
         def make(done: dict[str, Any], _: Any) -> dict[str, Any]:
-            price = price_m or choose_trial(settings, case, done)["price_m"]
+            price = fixed_m or choose_trial(settings, case, done)["price_m"]
             return train(settings, case, take(done), price, seed)
 
         return Part({**own, **told, "seed": seed}, make, after=(*after, *before))
@@ -343,7 +349,9 @@ def build_table(results: dict[str, Any]) -> str:
             lines.append((f"`{detector}`", word, sees, "-", score, ratio, "-", "-", "-"))
         for name, row in found["rows"].items():
             base, knowledge = name.split()
-            reached = [get_metres(each["kept"]["score"]) for each in row["seeds"]]
+            scores = [each["kept"]["score"] for each in row["seeds"]]
+            several = format_range([get_metres(each) for each in scores])
+            reached = several if scores[1:] else interval(scores[0][MEASURES[0]])
             over = {
                 (word, rival): "; ".join(interval(each[word][rival], 2) for each in row["seeds"])
                 for word in ("kept", "last")
@@ -354,7 +362,7 @@ def build_table(results: dict[str, Any]) -> str:
             ]
             lines.append((
                 *(f"`{detector}`", f"PPO on {base}", knowledge, f"{row['price_m']:g}"),
-                *(format_range(reached), over["kept", base], over["kept", FEEDBACK]),
+                *(reached, over["kept", base], over["kept", FEEDBACK]),
                 *(over["last", base], ", ".join(alarms)),
             ))  # fmt: skip
     return Table.of_texts(*HEAD).markdown(lines)

@@ -4,8 +4,9 @@ import json
 
 import pytest
 
-pytest.importorskip("stable_baselines3")  # ruff: noqa: E402 - as the training needs it
-pytest.importorskip("tyro")
+# ruff: noqa: E402 - the packages of the laboratory may be missing
+for name in ("stable_baselines3", "tyro"):
+    pytest.importorskip(name)
 
 from tools.pages import marks, part_between
 from tools.residual_page import DATA_FILE, PAGE, take
