@@ -14,6 +14,7 @@ torch; install it with the extra ``train``.
 from __future__ import annotations
 
 import logging
+import os
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -67,6 +68,7 @@ from .spoofers.learned import (
     refuse_state,
     warn_of_statistics,
 )
+from .spoofers.residual import change_file
 from .spoofers.scaled import own_columns
 
 __all__ = ["detector", "onnx", "trace_module"]
@@ -559,6 +561,11 @@ def _make_card(
             f"`observation` of its own: {core.settings['observation']!r}"
         )
     env_id, env_kwargs = describe_environment(inner)
+    if "action" in env_kwargs:  # a base is looked for beside the card
+        env_kwargs["action"] = change_file(
+            env_kwargs["action"],
+            lambda file: os.path.relpath(file, path.parent) if Path(file).is_file() else file,
+        )
     context = spoofer_context(core.setup, 1, core.observer, core.commands)
     detector = env_kwargs.get("detector", "the default detector")
     name = detector["name"] if isinstance(detector, Mapping) else detector

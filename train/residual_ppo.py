@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -40,7 +40,12 @@ from spoofgym.bench.search.amplitude import EXACT, TuningResult
 from spoofgym.core.progress import ProgressBar
 from spoofgym.core.registry import check_choice
 from spoofgym.sb3 import SpoofVecEnv
-from spoofgym.spoofers.learned import ModelPolicy, describe_env, get_normalization
+from spoofgym.spoofers.learned import (
+    ModelPolicy,
+    describe_env,
+    get_normalization,
+    make_function,
+)
 from spoofgym.spoofers.residual import SHARE
 
 from .offsets_ppo import NUM_ENVS, PACE, PLAIN, WORLD
@@ -59,9 +64,12 @@ CHOICE, FINAL = 1, 2
 """Entropy of the runs on which all is chosen, and of those that are scored."""
 SEARCH_MINUTES, MINUTES = 6.0, 3.0
 """Of a core, roughly: a search with the scripts' scores, and a training of 200,000 decisions."""
-HEAD = ("detector", "attack", "sees", "price of an alarm [m]", "score, median and range [m]",
-        "over its base, each seed", "over scripted feedback, each seed",
-        "last policy over its base", "alarms as trained [%]")  # fmt: skip
+HEAD = (
+    *("detector", "attack", "sees", "price of an alarm [m]"),
+    *("score [m], of several seeds median and range",),
+    *("over its base, each seed (a script: over the open-loop attack)",),
+    *("over scripted feedback, each seed", "last policy over its base", "alarms as trained [%]"),
+)
 
 
 @dataclass(frozen=True)
@@ -154,7 +162,8 @@ def find_open_loop(settings: Settings, detector: str) -> dict[str, Any]:
 
 def find_feedback(settings: Settings, detector: str, curve: dict[str, Any]) -> dict[str, Any]:
     """The best `full_ratio` of feedback along a curve, as a base and as the script itself."""
-    judge, found = make_judge(settings, detector, CHOICE), {}
+    judge = make_judge(settings, detector, CHOICE)
+    found: dict[str, Any] = {}
     tried = [{**curve, "name": SCRIPT, "full_ratio": each} for each in FULL_RATIOS]
     for name, make in (("spec", lambda x: correct_nothing(FEEDBACK, x)), ("script", lambda x: x)):
         fits = [judge.fit(make(each)) for each in tried]
@@ -208,15 +217,12 @@ def make_model(
 
 def freeze(model: PPO) -> ModelPolicy:
     """The policy as it is now, apart from the one that goes on learning."""
-    spaces, seen = (model.observation_space, model.action_space), get_normalization(model)
+    spaces, normalize = (model.observation_space, model.action_space), get_normalization(model)
+    assert normalize is not None  # as of `make_model`
     policy = model.policy_class(*spaces, lambda _: 0.0, **model.policy_kwargs)
     policy.load_state_dict(model.policy.state_dict())
-    policy.set_training_mode(False)
-
-    def act(observation: Any) -> Any:
-        given = observation if seen is None else seen(observation)
-        return policy.predict(given, deterministic=True)[0]
-
+    play_policy = make_function(policy)
+    act = lambda seen: play_policy(normalize(seen))  # noqa: E731
     return ModelPolicy(act, label="residual", **describe_env(model.get_env()))
 
 
@@ -289,24 +295,18 @@ def list_trainings(
     """The first seed at every price, and the others at the better one."""
     own = {**case._asdict(), "plain": PLAIN, "full_ratios": FULL_RATIOS}
     first, *others = settings.seeds
-    trials = {
-        case.name_trial(price_m): Part(
-            {**own, "price_m": price_m, "seed": first},
-            lambda done, _, x=price_m: train(settings, case, take(done), x, first),
-            after=after,
-        )
-        for price_m in settings.prices_m
-    }
-    more = {
-        case.name_seed(seed): Part(
-            {**own, "prices_m": settings.prices_m, "first": first, "seed": seed},
-            lambda done, _, x=seed: train(
-                settings, case, take(done), choose_trial(settings, case, done)["price_m"], x
-            ),
-            after=(*after, *trials),
-        )
-        for seed in others
-    }
+
+    def make_part(seed: int, fixed_m: float | None, before: Iterable[str], **told: Any) -> Part:
+        def make(done: dict[str, Any], _: Any) -> dict[str, Any]:
+            price = fixed_m or choose_trial(settings, case, done)["price_m"]
+            return train(settings, case, take(done), price, seed)
+
+        return Part({**own, **told, "seed": seed}, make, after=(*after, *before))
+
+    prices_m = settings.prices_m
+    trials = {case.name_trial(x): make_part(first, x, (), price_m=x) for x in prices_m}
+    chosen = {"prices_m": prices_m, "first": first}
+    more = {case.name_seed(x): make_part(x, None, trials, **chosen) for x in others}
     return trials | more
 
 
@@ -349,7 +349,9 @@ def build_table(results: dict[str, Any]) -> str:
             lines.append((f"`{detector}`", word, sees, "-", score, ratio, "-", "-", "-"))
         for name, row in found["rows"].items():
             base, knowledge = name.split()
-            reached = [get_metres(each["kept"]["score"]) for each in row["seeds"]]
+            scores = [each["kept"]["score"] for each in row["seeds"]]
+            several = format_range([get_metres(each) for each in scores])
+            reached = several if scores[1:] else interval(scores[0][MEASURES[0]])
             over = {
                 (word, rival): "; ".join(interval(each[word][rival], 2) for each in row["seeds"])
                 for word in ("kept", "last")
@@ -360,7 +362,7 @@ def build_table(results: dict[str, Any]) -> str:
             ]
             lines.append((
                 *(f"`{detector}`", f"PPO on {base}", knowledge, f"{row['price_m']:g}"),
-                *(format_range(reached), over["kept", base], over["kept", FEEDBACK]),
+                *(reached, over["kept", base], over["kept", FEEDBACK]),
                 *(over["last", base], ", ".join(alarms)),
             ))  # fmt: skip
     return Table.of_texts(*HEAD).markdown(lines)

@@ -9,6 +9,7 @@ import shlex
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from numbers import Real
+from pathlib import Path
 from typing import Any
 
 from ..core.settings import describe, format_card_diff, get_kind
@@ -23,6 +24,7 @@ from ..spoofers import (
 )
 from ..spoofers.build import SpooferSpec, card_behind
 from ..spoofers.learned import LearnedSpoofer, refuse_changes
+from ..spoofers.residual import change_file
 from .context import apply_pace, check_fit, spoofer_context, warn_of_headings
 from .core import SpoofCore
 from .factory import VICTIMS, composable, find_environment, list_parameters, make_setup
@@ -114,8 +116,10 @@ def _diff_bases(card: SpooferCard, core: SpoofCore) -> list[str]:
     """Where the base that a policy corrects differs from that of an environment."""
     if core.commands.base is None:
         return []
-    here = {"action": describe_terms("action", core.settings["action"])}
-    return format_card_diff({"action": card.env_kwargs.get("action")}, here)
+    found = card.env_kwargs.get("action"), describe_terms("action", core.settings["action"])
+    # by its digest a file is the same wherever it lies
+    own, here = ({"action": change_file(each, lambda file: Path(file).name)} for each in found)
+    return format_card_diff(own, here)
 
 
 def make_command_map(spoofer: Spoofer, setup: Setup) -> CommandMap:

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from ..core.declared import setting, settings_record
 from ..core.registry import check_choice
-from ..policies.card import Space, SpooferCard, diff_spaces
+from ..policies.card import SPOOFER, Space, SpooferCard, diff_spaces
 from ..policies.contract import NotFinite, clip_action
 from ..policies.load import load_policy
+from ..policies.zoo import resolve_path
 from .base import KNOWLEDGE, FloatArray, Spoofer, SpooferContext
-from .residual import BoundBase
+from .residual import BoundBase, change_file
 
 
 class LearnedSpoofer(Spoofer):
@@ -75,7 +76,11 @@ class OnnxPolicy(LearnedSpoofer):
         self.knowledge = card.knowledge.run_time
         self.designed_on = card.knowledge.design_time
         self.label = card.name
-        self.action_terms = card.env_kwargs.get("action")
+        folder = resolve_path(self.file, SPOOFER).parent
+        self.action_terms = change_file(
+            card.env_kwargs.get("action"),
+            lambda file: os.fspath(folder / file) if (folder / file).is_file() else file,
+        )
         self.decision_interval_s = card.env_kwargs.get("decision_interval_s")
         self.between = card.env_kwargs.get("between", "hold")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,37 @@ SHARE = 0.4
 """Scale of corrections, as a part of the largest action of a base over an episode."""
 SUFFIX = "_correction"
 """What the name of an action's element ends in that is added to a base."""
+
+
+def change_file(action: Any, change: Callable[[str], str]) -> Any:
+    """Action terms as a card has them, with another path of the file of the base that they
+    correct, if there is one."""
+
+    def change_term(term: Any) -> Any:
+        base = term.get("spoofer") if isinstance(term, Mapping) else None
+        if not isinstance(base, Mapping) or "file" not in base:
+            return term
+        return {**term, "spoofer": {**base, "file": change(base["file"])}}
+
+    return [change_term(each) for each in action] if isinstance(action, list) else action
+
+
+def check_base(spoofer: Spoofer) -> None:
+    """Refuse a spoofer that no card can name, or that corrects a base itself."""
+    inner = spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer
+    if hasattr(inner, "model") and not hasattr(inner, "card"):
+        raise ValueError(
+            f"the model {spoofer.label!r} in memory can't be a base, which cards have to name: "
+            "write it by `spoofgym.export.onnx`, and give the file"
+        )
+    terms = spoofer.action_terms
+    for each in terms if isinstance(terms, list) else [terms]:
+        if isinstance(each, Mapping) and each.get("name") == "residual":
+            base = each.get("spoofer")
+            raise ValueError(
+                f"the base {spoofer.label!r} corrects a base itself, and a policy corrects one "
+                f"alone: take that one, {base!r}"
+            )
 
 
 class BaseAttack(NamedTuple):

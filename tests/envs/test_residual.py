@@ -1,11 +1,15 @@
 """Actions that correct an attack: at 0 the base to the bit, for every form and way of playing."""
 
+import shutil
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
 import spoofgym
 from spoofgym.envs import attach
+from spoofgym.envs.terms import action
+from spoofgym.spoofers.learned import ModelPolicy
 from spoofgym.wrappers import ResidualAction, vector
 
 from .support import SHORT
@@ -160,10 +164,21 @@ def test_a_policy_plays_with_its_base_wherever_it_plays(tmp_path):
     onnx(net, gym.make(ID, **own), plain)
     above = str(tmp_path / "above.onnx")
     onnx(net, ResidualAction(gym.make(ID, **own), plain, 0.2), above)
-    spoofgym.evaluate(above, **runs)
+    moved = tmp_path / "moved"
+    shutil.copytree(tmp_path, moved, ignore=lambda *_: ["moved"])
+    reached = [spoofgym.evaluate(each, **runs) for each in (above, str(moved / "above.onnx"))]
+    np.testing.assert_array_equal(reached[0].displacement_m, reached[1].displacement_m)
+    attach(str(moved / "above.onnx"), ResidualAction(gym.make(ID, **own), plain, 0.2))
+    with pytest.raises(ValueError, match="corrects a base itself, and a policy corrects one alone"):
+        ResidualAction(gym.make(ID, **own), above, 0.2)
+    with pytest.raises(ValueError, match=r"in memory can't be a base.*spoofgym\.export\.onnx"):
+        ResidualAction(gym.make(ID, **own), ModelPolicy(net), 0.2)
+    (moved / "base.onnx").unlink()
+    with pytest.raises(ValueError, match=r"there is no ONNX file base\.onnx"):
+        spoofgym.evaluate(str(moved / "above.onnx"), **runs)
     torch.nn.init.constant_(net.bias, 0.1)
     onnx(net, gym.make(ID, **own), plain)
-    with pytest.raises(ValueError, match="sha256"):  # another base under the same name
+    with pytest.raises(ValueError, match="SHA-256"):  # another base under the same name
         spoofgym.evaluate(above, **runs)
     torch.nn.init.constant_(net.bias, 0.5)
     with torch.no_grad():
@@ -173,6 +188,14 @@ def test_a_policy_plays_with_its_base_wherever_it_plays(tmp_path):
         attach(path, ResidualAction(gym.make(ID, **own), "ramp", 0.2))
     with pytest.raises(ValueError, match="made for another environment"):
         attach(path, gym.make(ID, **own))
+
+
+def test_a_base_is_made_once(monkeypatch):
+    made = []
+    make = action.make_spoofer
+    monkeypatch.setattr(action, "make_spoofer", lambda spec: made.append(spec) or make(spec))
+    gym.make(ID, timeline=SHORT, action=action.Residual(RAMP)).reset(seed=1)
+    assert made == [RAMP]
 
 
 def test_the_environment_of_stable_baselines_has_it_too():

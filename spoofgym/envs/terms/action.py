@@ -8,6 +8,7 @@ exception: it stands alone, its elements are a wanted rate, and the acceleration
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -17,7 +18,7 @@ from ...core.declared import setting, settings_record
 from ...simulation.domain import FloatArray
 from ...simulation.setup import Setup
 from ...spoofers.build import make_spoofer, spec_of_spoofer
-from ...spoofers.residual import SUFFIX, BaseAttack
+from ...spoofers.residual import SUFFIX, BaseAttack, check_base
 from .._kernels import follow_rate
 
 
@@ -236,11 +237,13 @@ class Residual:
     )
 
     def __post_init__(self) -> None:
-        made = self.make_base().spoofer  # or what is wrong with it
+        made = self.base.spoofer  # or what is wrong with it
+        check_base(made)
         # in full, with the digest of a file: cards and stored results are of this base alone
         object.__setattr__(self, "spoofer", spec_of_spoofer(made))
 
-    def make_base(self) -> BaseAttack:
+    @cached_property
+    def base(self) -> BaseAttack:
         """The base, not bound yet."""
         return BaseAttack(make_spoofer(self.spoofer), self.scale)
 
@@ -326,7 +329,7 @@ class CommandMap:
         first = terms[0]
         if len(terms) > 1 or not isinstance(first, Residual):
             raise ValueError("a correction stands alone: give other terms as its `action`")
-        self.base = first.make_base()
+        self.base = first.base
         return first.list_terms(setup)
 
     def aim(self, heading_rad: FloatArray) -> None:

@@ -116,7 +116,10 @@ class AlarmedEpochs(_Shared):
 
 @settings_record(frozen=True)
 class EffortPenalty:
-    """Price of the command: the mean square of its elements."""
+    """Price of the command: the mean square of its elements.
+
+    Of an action that corrects a base, the sum of both counts, as it is played.
+    """
 
     described_as = "EffortPenalty"
     at_full_m: float = setting(

@@ -11,14 +11,14 @@ torch = pytest.importorskip("torch")
 for name in ("stable_baselines3", "onnxscript", "tyro"):
     pytest.importorskip(name)
 
+from benchmarks import ppo_speed
+from benchmarks.ppo_speed import Nothing, main
 from spoofgym.sb3 import SpoofVecEnv
-from train import ppo_speed
-from train.ppo_speed import Nothing, main
 
 
 def test_ratio_and_speeds_are_medians_each_of_its_environment(monkeypatch, capsys):
     def call(*given):
-        monkeypatch.setattr(sys, "argv", ["train.ppo_speed", *given])
+        monkeypatch.setattr(sys, "argv", ["benchmarks.ppo_speed", *given])
         main()
         return json.loads(capsys.readouterr().out)
 

@@ -1,4 +1,4 @@
-"""What part of PPO's speed the simulation leaves: ``python -m train.ppo_speed``.
+"""What part of PPO's speed the simulation leaves: ``python -m benchmarks.ppo_speed``.
 
 PPO runs on the engine, and on an environment of the same spaces that computes nothing, in turn
 within one process: with a decision at every epoch, large minibatches and the other settings of

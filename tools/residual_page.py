@@ -1,0 +1,42 @@
+"""The table of corrections on `docs/terms.md`: ``python -m tools.residual_page runs/residual``.
+
+Takes the results of `train.residual_ppo` in a folder into `docs/residual.json`; what they lack
+stays as it is.  Without a folder it writes the table again.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from agents.folder import write_json
+from train.residual_ppo import build_table
+
+from .pages import DOCS, marks, put_between
+
+PAGE, DATA_FILE = DOCS / "terms.md", DOCS / "residual.json"
+
+
+def take(results: dict[str, Any], kept: dict[str, Any]) -> dict[str, Any]:
+    """Results with those that are kept, by detector and row; of other sizes they are refused."""
+    before = kept.get("detectors", {})
+    if differing := [x for x in ("steps", "runs", "world") if kept and kept[x] != results[x]]:
+        raise ValueError(f"{DATA_FILE.name} has results of other {', '.join(differing)}")
+    for detector, found in results["detectors"].items():
+        rows = before.get(detector, {}).get("rows", {})
+        before[detector] = {**found, "rows": {**rows, **found["rows"]}}
+    return {**results, "detectors": before}
+
+
+def main() -> None:
+    kept = json.loads(DATA_FILE.read_text()) if DATA_FILE.exists() else {}
+    for folder in sys.argv[1:]:
+        kept = take(json.loads((Path(folder) / "results.json").read_text()), kept)
+    write_json(DATA_FILE, kept)
+    put_between(PAGE, *marks("residual"), f"{build_table(kept)}\n")
+
+
+if __name__ == "__main__":
+    main()
