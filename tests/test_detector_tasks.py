@@ -173,7 +173,7 @@ def test_the_command_line_audits_goes_on_and_writes_attacks_that_play_again(tmp_
     monkeypatch.setattr("spoofgym.bench.experiments.audit.Panel", None)  # nothing is played again
     result = call(*words)
     lines = result.stdout.splitlines()
-    assert lines[-1] == found["answer"]
+    assert lines[-1].startswith(f"{found['answer']} Report: ")
     assert lines[-1].startswith("never: ")
     assert len(lines) <= 40
     assert max(map(len, lines)) <= 100

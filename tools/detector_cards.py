@@ -34,7 +34,9 @@ def play_task(
     before = tasks.stored_detector_cards().get(task.key, {})
     best = before.get("best_classic")  # others are compared with it
     chosen = [x for label, x in everyone.items() if only is None or label in {*only, best}]
-    evaluator = Auditor(task.key, runs=runs, selection_runs=selection_runs, folder=out, threads=1)
+    evaluator = Auditor(
+        task.key, runs=runs, selection_runs=selection_runs, entropy=0, folder=out, threads=1
+    )
     world, entries = evaluator.worlds.world, specify_detectors(chosen)
     labels = [each.label for each in entries]
     refused = calibrate_players(world, entries, progress=progress, optional=labels)

@@ -46,7 +46,9 @@ class Whim(AverageRate):
 def probe(monkeypatch):
     monkeypatch.setattr(module, "AGES_S", (20.0, 80.0, 320.0))
     of = small_task()
-    auditor = Auditor(AgedTask("aged", of.title, of.task, of.families), "quick", threads=1)
+    auditor = Auditor(
+        AgedTask("aged", of.title, of.task, of.families), "quick", entropy=0, threads=1
+    )
     size = auditor.size._replace(twins=24, ages=3)
     return lambda judge: auditor.worlds.probe_ages(judge, size)
 
@@ -187,7 +189,13 @@ def test_what_is_as_it_should_be_is_not_warned_of():
 
 def test_a_whole_audit_of_a_detector_of_ones_own(tmp_path):
     spec = {"name": "tests.outside.detectors:AverageRate", "threshold_scale": 30.0}
-    sizes = {"runs": 6, "selection_runs": 4, "families": ["ramps", "dashes"], "threads": 1}
+    sizes = {
+        "runs": 6,
+        "selection_runs": 4,
+        "families": ["ramps", "dashes"],
+        "entropy": 0,
+        "threads": 1,
+    }
     found = spoofgym.audit(spec, small_task(), "quick", folder=tmp_path, **sizes)
     again = spoofgym.audit(spec, small_task(), "quick", folder=tmp_path, **sizes)
     assert {**again.as_dict(), "cost_us": 0.0} == {**found.as_dict(), "cost_us": 0.0}

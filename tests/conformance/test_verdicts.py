@@ -66,7 +66,11 @@ FAULTS = {
         "`weights` must be a C-contiguous array",
     ),
     "NaN statistic": (part("statistic", last(np.nan)), ValueError, "be finite, got nan for"),
-    "infinite threshold": (part("threshold", last(np.inf)), ValueError, "be finite, got inf for"),
+    "infinite threshold": (
+        part("threshold", last(np.inf)),
+        ValueError,
+        "be finite and above 0, got inf for",
+    ),
     "float alarm": (part("alarm", np.float64), TypeError, "`alarm` must be of type bool, got flo"),
     "wide alarm": (part("alarm", lambda a: np.hstack([a, a])), ValueError, "`alarm` must have sh"),
     "other receivers": (more_rows, ValueError, "`statistic` must have shape"),

@@ -41,7 +41,7 @@ CONSTANTS = (
 
 def resolved(task: DetectorTask) -> dict[str, Any]:
     """All settings of a task with their defaults, of every family, and of the learners' pool."""
-    evaluator = Auditor(task.key)
+    evaluator = Auditor(task.key, entropy=0)
     families = {}
     for family in task.families:
         setup = evaluator.worlds.setup(**task.get_overrides(family))
@@ -66,7 +66,7 @@ def resolved(task: DetectorTask) -> dict[str, Any]:
 
 def reached(task: DetectorTask, family: AttackFamily) -> dict[str, Any]:
     """Runs of a family that are drawn by its onset, and how far one stated attack comes in them."""
-    setup = Auditor(task.key).worlds.setup(**task.get_overrides(family))
+    setup = Auditor(task.key, entropy=0).worlds.setup(**task.get_overrides(family))
     onset = None if family.onset == "chance-alarm" else family.onset
     numbers = select_runs(setup, 0, "evaluation", RUNS, onset)
     judges = [make_detector("never"), make_detector(WHOM)]

@@ -372,8 +372,9 @@ class Auditor:
         if not keys:
             raise ValueError("`families` must name at least one family of attacks, got none")
         self.families = tuple(self.task.family(key) for key in dict.fromkeys(keys))
-        self.folder = None if folder is None else Path(folder) / self.task.key
-        drawn = draw_entropy(self.folder) if entropy is None else entropy
+        root = None if folder is None else Path(folder)
+        self.folder = None if root is None else root / self.task.key
+        drawn = draw_entropy(root) if entropy is None else entropy
         self.entropy = whole_number("`entropy`", drawn)
         self.worlds = Worlds(self.task, self.entropy, threads)
 

@@ -413,8 +413,10 @@ class Optima:
         self.bounds, self.tuning, self.spoofers = brackets, tuning, spoofers
         self.alert_limit_m = alert_limit_m
         self.world, self.threads = brackets.world, threads
-        own = settings or OpenLoopSearch(generations=tuning.generations)
-        self.settings = replace(own, runs=min(own.runs, max(RUNS_EACH * tuning.runs, 8)))
+        own = settings or OpenLoopSearch()
+        runs = min(own.runs, max(RUNS_EACH * tuning.runs, 8))
+        turns = min(own.generations, tuning.generations)
+        self.settings = replace(own, runs=runs, generations=turns)
         self._replay: Replay | None = None
         self._numbers: dict[str, int] | None = None
         self._unwatched: tuple[WarmStart, Runs] | None = None
