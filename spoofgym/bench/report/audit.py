@@ -1,4 +1,4 @@
-"""The screen that an audit ends with: at most 40 lines of 100 columns, but for the answer."""
+"""The screen that an audit ends with: at most 40 lines of 100 columns, then report and answer."""
 
 from __future__ import annotations
 
@@ -121,5 +121,7 @@ def print_audits(audits: Sequence[Audit], reports: Sequence[Path]) -> None:
     """Print a screen of each, and the answers last."""
     for each in audits:
         print("\n".join(format_screen(each)), end="\n\n")
-    for each, path in zip(audits, reports, strict=True):
-        print(f"{each.answer} Report: {path}")
+    for path in reports:
+        print(f"Report: {path}")
+    for each in audits:
+        print(each.answer)
