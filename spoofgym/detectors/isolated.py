@@ -15,6 +15,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import weakref
 from collections.abc import Mapping
 from contextlib import suppress
@@ -77,6 +78,7 @@ class _Host:
     running: ClassVar[weakref.WeakValueDictionary[tuple[int, bytes], _Host]] = (
         weakref.WeakValueDictionary()
     )
+    starting: ClassVar[threading.RLock] = threading.RLock()
 
     def __init__(self, content: bytes, limit_s: float) -> None:
         own, other = socket.socketpair()
@@ -101,14 +103,15 @@ class _Host:
     def find(cls, content: bytes, limit_s: float) -> _Host:
         """The process of a detector, started if there is none."""
         key = os.getpid(), content
-        found = cls.running.get(key)
-        if found is None or not found.end.alive:
-            found = cls.running[key] = cls(content, limit_s)
+        with cls.starting:
+            found = cls.running.get(key)
+            if found is None or not found.end.alive:
+                found = cls.running[key] = cls(content, limit_s)
         return found
 
     def fork(self, memory: int) -> Channel:
         own, other = socket.socketpair()
-        with other:
+        with other, self.starting:
             socket.send_fds(self.channel.socket, [b"f"], [other.fileno(), memory])
         return Channel(own)
 
@@ -164,6 +167,7 @@ class _Bound:
     def __init__(self, content: bytes, name: str, limits: tuple[float, float], start: Any) -> None:
         self._content, self._name, self._limits, self._start = content, name, limits, start
         self.failure: IsolationError | None = None
+        self._lock = threading.RLock()
         self._open()
 
     def _open(self) -> None:
@@ -177,16 +181,22 @@ class _Bound:
 
     def __getstate__(self) -> dict[str, Any]:
         names = "_content", "_name", "_limits", "failure"
-        start = self._start if self.failure else ("restore", self.request("save", raw=True))
-        return {**{name: getattr(self, name) for name in names}, "_start": start}
+        with self._lock:
+            start = self._start if self.failure else ("restore", self.request("save", raw=True))
+            return {**{name: getattr(self, name) for name in names}, "_start": start}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
+        self._lock = threading.RLock()
         if self.failure is None:
             self._open()
 
     def request(self, work: str, *given: Any, epoch: Epoch | None = None, raw: bool = False) -> Any:
         """What a method of `isolated_child.Server` returns. `raw`: bytes."""
+        with self._lock:  # searches copy one detector in several threads
+            return self._request(work, given, epoch, raw)
+
+    def _request(self, work: str, given: tuple[Any, ...], epoch: Epoch | None, raw: bool) -> Any:
         if self.failure is not None:
             raise self.failure
         if self._parent != os.getpid():

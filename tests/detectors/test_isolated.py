@@ -8,6 +8,7 @@ import secrets
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import joblib
 import numpy as np
@@ -94,6 +95,21 @@ def test_a_detector_goes_on_as_a_copy_in_another_process_and_in_a_pool():
     assert all(same(a, b) for a, b in zip(found, expected, strict=True))
     pools = [PooledDetector(each) for each in (["cusum"], [apart])]
     assert all(same(a, b) for a, b in zip(*(judged(each, seen) for each in pools), strict=True))
+
+
+def test_several_threads_copy_one_detector():
+    """As a search does, whose parts begin from the same one."""
+    seen, source = epochs(), Isolated("cusum")
+    judged(source, seen[:4])
+
+    def go_on(_):
+        mine = copy.deepcopy(source)
+        mine.memory.copy_rows(np.arange(5), source.memory, np.arange(5))
+        return mine.judge(seen[4])
+
+    expected = judged(make_detector("cusum"), seen)[4]
+    with ThreadPoolExecutor(4) as pool:
+        assert all(same(each, expected) for each in pool.map(go_on, range(8)))
 
 
 def test_thresholds_are_scaled_outside_and_states_inside():
