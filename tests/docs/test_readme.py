@@ -105,8 +105,10 @@ def test_make_bench_plays_rows_of_the_full_run_and_agrees_by_interval(full):
         assert {*scores} == {*whole[name]}
         for score, one in scores.items():
             other = whole[name][score]
-            apart = max(one["low"] - other["high"], other["low"] - one["high"])
-            # the whole way of an attack has an interval of some centimetres, and the suite's curves
-            # are found by searches of other sizes
-            near = 0.01 if score.startswith("exceeded") else 1e-3
-            assert apart <= near * abs(other["value"]), (name, score)
+            apart = one["low"] - other["high"]
+            less = other["low"] - one["high"]
+            if score.startswith("exceeded"):  # a quick search finds less, and never more
+                assert one["value"] >= 0.7 * other["value"], (name, score)
+                assert apart <= 0.01 * abs(other["value"]), (name, score)
+            else:  # the whole way of an attack has an interval of some centimetres
+                assert max(apart, less) <= 1e-3 * abs(other["value"]), (name, score)
