@@ -48,6 +48,7 @@ docs/threats
 docs/worlds
 docs/calibration
 docs/audit
+docs/isolation
 docs/scores
 docs/limits
 docs/checks

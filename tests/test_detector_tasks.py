@@ -152,6 +152,7 @@ def test_a_card_keeps_the_rows_of_the_same_runs_and_no_others():
     [
         (["never", "--task", "T3"], "unknown task for detectors 'T3'"),
         (["cusun"], "did you mean 'cusum'?"),
+        (["nosuch:Thing"], "raises ValueError: there is no module 'nosuch'"),
         (["never", "--selection-runs", "1"], "selection-runs"),
         (["never", "--budget", "huge"], "unknown budget 'huge'; valid: full, quick, standard"),
     ],

@@ -48,7 +48,9 @@ def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
             return function(*args, **kwargs)
-        except (ValueError, TypeError, ImportError, OSError) as error:
+        except (typer.Exit, typer.Abort):  # RuntimeErrors, too
+            raise
+        except (ValueError, TypeError, ImportError, OSError, RuntimeError) as error:
             if os.environ.get(TRACEBACK_VARIABLE) or isinstance(error, BrokenPipeError):
                 raise
             text = " ".join(str(error).split())
