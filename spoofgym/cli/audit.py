@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -79,7 +80,7 @@ def audit_(
     sizes: Any = {"runs": runs, "selection_runs": selection_runs, "families": family or None}
     settings: Any = {**sizes, "entropy": seed, "threads": threads, "folder": out}
     auditors = [Auditor(key, budget, **settings) for key in dict.fromkeys(task or ["D1"])]
-    say = lambda text: typer.echo(text, err=True)  # noqa: E731
+    say = partial(typer.echo, err=True)
     for auditor in auditors:
         cells = auditor.prepare(spec, progress, say)
         try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -80,12 +79,12 @@ def _find_card(name: str, others: Sequence[str]) -> Found:
     """The card of a policy by its name or file; `others`: what else a name could have been."""
     from ..bench.report.cards import SCORES, card_rows, find_card
     from ..bench.report.table import FIELDS
+    from ..core.registry import suggest_name
     from ..policies import SpooferCard, list_shipped
 
     if not Path(name).suffix and name not in (shipped := list_shipped()):
-        near = difflib.get_close_matches(name, [*others, *shipped])
-        meant = f"; did you mean {' or '.join(near)}?" if near else ""
-        raise ValueError(f"there is no {name!r}; `spoofgym list` shows all names{meant}")
+        hint = suggest_name(name, [*others, *shipped])
+        raise ValueError(f"there is no {name!r}; `spoofgym list` shows all names{hint}")
     found = find_card(name)
 
     def show() -> None:

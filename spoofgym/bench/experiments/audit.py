@@ -25,7 +25,7 @@ from ...core.files import write_file
 from ...core.progress import ProgressBar
 from ...core.registry import check_choice, slug, whole_number
 from ...core.settings import compute_digest, describe, outside_sources
-from ...detectors import Calibrated, Detector, LearnedDetector, detector_in_world
+from ...detectors import Detector, LearnedDetector, detector_in_world
 from ...detectors.build import bare_detector
 from ...detectors.calibrated import calibrated_parts, list_factors, resolve_thresholds, unwrap
 from ...detectors.isolated import isolate
@@ -150,7 +150,7 @@ def specify_detectors(detectors: Iterable[Any]) -> tuple[PlayerSpec, ...]:
 
 def find_trained_holdout(judge: Detector, task: DetectorTask) -> str | None:
     """Family that a task holds out, and that a detector has learned from, as its card has it."""
-    inner = judge.detector if isinstance(judge, Calibrated) else judge
+    inner = unwrap(judge)
     training = inner.card.training if isinstance(inner, LearnedDetector) else {}
     if "held_out" not in training:  # not learned, or not from a data set of spoofgym
         return None
@@ -330,16 +330,11 @@ def _compare_twice(start: WarmStart, clean: Runs, again: WarmStart) -> bool:
 def draw_entropy(folder: Path | None) -> int:
     """Entropy that no detector has seen; of a folder, that of its first audit."""
     drawn = secrets.randbits(32)
-    if folder is None:
-        return drawn
-    file, own = folder / ENTROPY, folder / f"{ENTROPY}.{os.getpid()}-{drawn}"
-    write_file(own, f"{drawn}\n".encode())
-    try:
-        os.link(own, file)  # of several shards one is the first
-    except FileExistsError:
-        drawn = int(file.read_text())
-    finally:
-        own.unlink()
+    if folder is not None:
+        try:
+            write_file(folder / ENTROPY, f"{drawn}\n".encode(), exclusive=True)
+        except FileExistsError:  # another shard's, too
+            drawn = int((folder / ENTROPY).read_text())
     return drawn
 
 
@@ -398,8 +393,8 @@ class Auditor:
         """Cells of a detector, which is calibrated first; `say` is given how long both take. A
         foreign one that is given as text has a process of its own."""
         detector = isolate(detector) if isinstance(detector, str | Mapping) else detector
-        entry, worlds = specify_detectors([detector])[0], self.worlds
-        judge, world = detector_in_world(detector), worlds.world.setup
+        judge, worlds = detector_in_world(detector), self.worlds  # whose process all below share
+        (entry,), world = specify_detectors([detector]), worlds.world.setup
         bare, missing = unwrap(bare_detector(detector)), 0
         try:
             resolve_thresholds(judge, world)
@@ -532,8 +527,9 @@ class AuditCells(Experiment):
             for each in group:
                 yield Result(worlds.probe_ages(each.judge, self.of.size)._asdict())
         else:
-            bounds = DisplacementBounds(worlds.world, [group[0].player], self.of.entropy)
-            yield Result(record=bounds.compute_lower_limit(self.of.size.floor_worlds))
+            few, entropy = self.of.size.floor_worlds, self.of.entropy
+            bounds = DisplacementBounds(worlds.world, [group[0].player], entropy, floor_worlds=few)
+            yield Result(record=bounds.compute_lower_limit())
 
     def _play_family(
         self, family: AttackFamily, group: Sequence[ScoredDetector], context: Context

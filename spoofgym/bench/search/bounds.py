@@ -111,13 +111,12 @@ class DisplacementBounds:
         setup = self.world.setup
         return setup if isinstance(setup, TightlyCoupledSetup) else None
 
-    def compute_lower_limit(self, worlds: int | None = None) -> dict[str, Any]:
-        """Floor over so many drawn worlds, one under every sky by default; or why there is none."""
+    def compute_lower_limit(self) -> dict[str, Any]:
+        """Floor over the drawn worlds, or why there is none."""
         if self.setup is None:
             return {"why": f"no limit is known for {self.world.setup.whose}"}
         try:
-            drawn = worlds or self.floor_worlds
-            frontier = compute_frontier(self.setup, worlds=drawn, entropy=self.entropy)
+            frontier = compute_frontier(self.setup, worlds=self.floor_worlds, entropy=self.entropy)
         except ValueError as error:
             return {"why": str(error)}
         return tabulate_lower_limits(frontier, self.rates, self.budget)
