@@ -49,6 +49,19 @@ def _pool_rngs(rows: Rows) -> list[np.random.Generator]:
     return [np.random.default_rng(seed) for seed in seeds]
 
 
+def _run_slices(
+    workers: Workers, threads: int, work: Callable[[int, int], None], receivers: int
+) -> None:
+    """Do work on all receivers, in slices that threads share."""
+    parts = min(SLICES_PER_THREAD * threads, receivers // LEAST_SLICE)
+    if threads == 1 or parts < 2:
+        work(0, receivers)
+        return
+    groups = -(-receivers // LANES)
+    bounds = [LANES * ((groups * part) // parts) for part in range(parts)] + [receivers]
+    workers.run(work, bounds)
+
+
 class Engine:
     """B receivers under attack, each in its own episode.
 
@@ -107,6 +120,8 @@ class Engine:
         self.warm_pool = None if warm_pool is None else whole_number("`warm_pool`", warm_pool, 1)
         prefetch = prefetch and warm_pool is None
         self._workers = Workers(max(self.threads - 1, int(prefetch)))
+        # not a method: simulators would hold their engine, and large arrays wait for the collector
+        self._run = partial(_run_slices, self._workers, self.threads)
         self.simulator: Simulator = setup.simulator(receivers, self._run)
         self.twin: Simulator | None = (
             setup.copy_with(monitors=()).simulator(receivers, self._run) if twin else None
@@ -130,15 +145,6 @@ class Engine:
         self._workers.close()
         self._pool = None
         self._flown[:] = False
-
-    def _run(self, work: Callable[[int, int], None], receivers: int) -> None:
-        parts = min(SLICES_PER_THREAD * self.threads, receivers // LEAST_SLICE)
-        if self.threads == 1 or parts < 2:
-            work(0, receivers)
-            return
-        groups = -(-receivers // LANES)
-        bounds = [LANES * ((groups * part) // parts) for part in range(parts)] + [receivers]
-        self._workers.run(work, bounds)
 
     def reset(
         self, rngs: Rngs, rows: Rows | None = None, given: FixedChoices | None = None

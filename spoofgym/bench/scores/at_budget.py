@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -73,6 +73,18 @@ class AlarmCurve:
     @property
     def runs(self) -> int:
         return len(self.alarm_amplitude)
+
+    def first(self, count: int) -> AlarmCurve:
+        """The first of its runs alone, with the threshold as it is."""
+        return replace(
+            self,
+            alarm_amplitude=self.alarm_amplitude[:count],
+            displacement={name: each[:, :count] for name, each in self.displacement.items()},
+            alarmed=self.alarmed[:, :count],
+            sky=self.sky[:count],
+            elasticity={},
+            factors=None,
+        )
 
     def fit(self, budget: float, samples: FloatArray) -> FloatArray:
         """(S,) amplitude at the budget in bootstrap samples (S, R)."""
@@ -164,6 +176,14 @@ def _scores(curve: AlarmCurve, budget: float, samples: FloatArray) -> dict[str, 
 
 def _estimate(drawn: FloatArray) -> Estimate:
     return percentiles(float(drawn[0]), drawn[1:])
+
+
+def compute_at_budget(curve: AlarmCurve, budget: float) -> dict[str, float]:
+    """Amplitude and displacements by measure [m] at the budget, without intervals."""
+    if not curve.runs:
+        return dict.fromkeys((AMPLITUDE, *curve.displacement), math.nan)
+    once = _scores(replace(curve, factors=None), budget, np.ones((1, curve.runs)))
+    return {name: float(value[0]) for name, value in once.items()}
 
 
 def score_at_budget(curve: AlarmCurve, budget: float) -> AtBudget:

@@ -7,8 +7,8 @@
    to `RESOLUTION`: all at once, each with its own value, from the same seeds.  The first crossing
    counts, since a run may be silent again above it.
 4. All runs play the amplitude at the budget, too.
-5. Some runs are played at thresholds that are `FACTOR` times as high, too, for the elasticity of
-   the score.
+5. Some of the runs are played at thresholds that are `FACTOR` times as high, too, for the
+   elasticity of the score.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ...spoofers import make_spoofer
 from ..runs.panel import Panel, PanelAttack
 from ..runs.players import PlayerSpec
 from ..runs.record import MEASURES, Mask, measure_displacement
-from ..scores.at_budget import AMPLITUDE, AlarmCurve, score_at_budget
+from ..scores.at_budget import AMPLITUDE, AlarmCurve, compute_at_budget, score_at_budget
 from ..scores.scores import Stealth, select_clusters
 from ..scores.statistics import (
     RESAMPLES,
@@ -184,22 +184,23 @@ def _bisect(runs: AttackedRuns, values: FloatArray, alarmed: Mask) -> FloatArray
 
 
 def measure_elasticity(
-    panel: Panel, number: int, entry: PlayerSpec, settings: Tuning, start: float
+    panel: Panel, number: int, entry: PlayerSpec, settings: Tuning, curve: AlarmCurve
 ) -> dict[str, float]:
     """Elasticity of amplitude and displacements in the thresholds, at the budget; empty where they
-    are not scaled."""
+    are not scaled. `curve`: of the attack at the thresholds as they are."""
     if not isinstance(panel.judges[number], Calibrated):
         return {}
-    count, found = min(panel.runs, FACTOR_RUNS), []
-    for factor in (1.0, FACTOR):
-        runs = EngineRuns(panel.at_thresholds(number, factor, count), number, entry)
-        score = score_at_budget(trace_alarms(runs, settings, start, 0.0), settings.budget)
-        found.append({AMPLITUDE: score.amplitude, **score.displacement})
-    pairs = {name: (found[0][name].value, found[1][name].value) for name in found[0]}
+    count = min(panel.runs, FACTOR_RUNS)
+    here = compute_at_budget(curve.first(int(panel.counts[:count, number].sum())), settings.budget)
+    if not here[AMPLITUDE] > 0.0:
+        return {}
+    runs = EngineRuns(panel.at_thresholds(number, FACTOR, count), number, entry)
+    higher = trace_alarms(runs, settings, FACTOR * here[AMPLITUDE], 0.0)
+    above = compute_at_budget(higher, settings.budget)
     return {
-        name: math.log(above / here) / math.log(FACTOR)
-        for name, (here, above) in pairs.items()
-        if min(here, above) > 0.0
+        name: math.log(above[name] / value) / math.log(FACTOR)
+        for name, value in here.items()
+        if min(value, above[name]) > 0.0
     }
 
 
@@ -228,8 +229,7 @@ def tune_at_budget(
     curve = trace_alarms(EngineRuns(panel, number, entry, tick), settings)
     factors = draw_threshold_factors(panel, number)
     if factors is not None and curve.runs:
-        start = score_at_budget(curve, settings.budget).amplitude.value
-        elasticity = measure_elasticity(panel, number, entry, settings, start)
+        elasticity = measure_elasticity(panel, number, entry, settings, curve)
         curve = replace(curve, elasticity=elasticity)
     curve = replace(curve, factors=factors)
     score = score_at_budget(curve, settings.budget)
