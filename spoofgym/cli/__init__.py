@@ -11,6 +11,7 @@ from .audit import audit_
 from .bench import bench, report
 from .calibrate import calibrate
 from .dataset import dataset
+from .demo import demo
 from .game import game
 from .limits import limits
 from .list import list_
@@ -21,6 +22,7 @@ from .warmup import warmup
 app.command("list")(clear_errors(list_))
 app.command("audit")(clear_errors(audit_))
 for _command in (
+    demo,
     calibrate,
     run,
     bench,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -178,6 +179,39 @@ def draw_episode(episode: Episode, path: Path) -> Path:
     pair = f"{episode.spoofer.label} against {episode.detector.label}"
     title = f"{summary['scenario']}: {pair}, run {episode.run}"
     figure.suptitle(textwrap.fill(title, TITLE_WIDTH, break_on_hyphens=False), fontsize=13)
+    return save_figure(figure, path, dpi=130)
+
+
+def draw_comparison(episodes: Sequence[Episode], path: Path) -> Path:
+    """One attack in front of several detectors: position error, and the statistic of each; returns
+    the file, PNG without an ending."""
+    figure = figure_class()(figsize=(11.0, 4.4), layout="constrained")
+    axes = figure.subplots(1, 2)
+    for ax in axes:
+        style(ax)
+        _phases(ax, episodes[0])
+    axes[1].axhline(1.0, color="black", lw=1, ls=":")
+    top = 1.0
+    for episode, colour in zip(episodes, (ORANGE, BLUE, GREEN), strict=False):
+        first, alarm = episode.first_alarm, episode.alarm[:, ATTACKED]
+        window, ratio = episode.time[episode.onset :], episode.ratio[:, ATTACKED]
+        label, top = episode.detector.label, max(top, float(ratio.max()))
+        # until the alarm, or to the end
+        seen = slice(0, first or None)
+        axes[0].plot(
+            window, episode.induced_error_m, color=colour, lw=1.2, ls=":" if first else "-"
+        )
+        axes[0].plot(window[seen], episode.induced_error_m[seen], color=colour, lw=2.2, label=label)
+        axes[1].plot(episode.time, ratio, color=colour, lw=1.4, label=label)
+        axes[1].plot(episode.time[alarm], ratio[alarm], ".", color=colour, ms=5)
+        if first:
+            error = episode.induced_error_m[first - 1]
+            axes[0].plot(window[first - 1], error, "X", color=colour, ms=10, label="alarm")
+    axes[0].set(title="error that the attack causes [m]", xlabel="time since the onset [s]")
+    axes[1].set(title="statistic over its threshold", xlabel="time since the onset [s]")
+    axes[1].set_ylim(0.0, 1.1 * min(top, 5.0))
+    for ax in axes:
+        ax.legend(fontsize=9, loc="upper left", framealpha=0.9)
     return save_figure(figure, path, dpi=130)
 
 
