@@ -181,11 +181,26 @@ class WorldOptions:
     attack: str | None = Option(None, help=f"What the spoofer can do. {SPEC_HELP}")
     track: Path | None = Option(
         None,
-        help="Recorded flight (.csv, .json, .parquet; .gz too) to fly instead of the scenario's. "
-        "Needs --ephemeris.",
+        help="Recorded flight (.csv, .json, .jsonl, .parquet; .gz too) to fly instead of the "
+        "scenario's. Needs --ephemeris.",
     )
-    ephemeris: Path | None = Option(
-        None, help="RINEX 2 or 3 navigation file with the GPS satellites."
+    ephemeris: list[Path] | None = Option(
+        None,
+        help="RINEX 2, 3 or 4 navigation file with the GPS satellites, may be repeated; all are "
+        "joined.",
+    )
+    aircraft: str | None = Option(
+        None, help="Address of the aircraft (icao24) in a track with several."
+    )
+    altitude_unit: str | None = Option(
+        None,
+        help="Unit of the track's altitude, ft or m. Default: that of the column's name, feet for "
+        "`altitude`.",
+    )
+    interpolated: str = Option(
+        "drop",
+        help="What becomes of fixes on the line between their neighbours, drop or keep; a "
+        "simulated track without noise needs keep.",
     )
     from_s: float | None = Option(
         None,

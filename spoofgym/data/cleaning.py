@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.declared import check_word
-from ..core.registry import require
 from ..earth.wgs84 import EQUATORIAL_RADIUS, dcm_e_from_n, geodetic_to_ecef
 from .track_fit import MINIMUM_FIXES, Track
 from .tracks import KNOT, RawTrack
@@ -216,6 +215,7 @@ class CleaningReport:
     """What cleaning found and dropped; counts are rows of the file unless said otherwise.
 
     - `name`: name of the file or flight; `rows`: all of them;
+    - `reordered`: rows that came after a later one, and were sorted;
     - `incomplete`: rows without latitude, longitude or altitude;
     - `repeated`: rows that repeat the position of the row before;
     - `late`: rows whose position is not newer than the one before;
@@ -236,6 +236,7 @@ class CleaningReport:
 
     name: str
     rows: int
+    reordered: int
     incomplete: int
     repeated: int
     late: int
@@ -260,7 +261,8 @@ class CleaningReport:
     def lines(self) -> list[str]:
         used = self.angles_as_given + self.angles_unwrapped
         return [
-            f"{self.name}: {self.rows} rows, {self.incomplete} without a position or altitude",
+            f"{self.name}: {self.rows} rows, {self.incomplete} without a position or altitude"
+            + (f", {self.reordered} out of order and sorted" if self.reordered else ""),
             f"dropped: {self.repeated} repeated, {self.late} late, "
             f"{self.interpolated} interpolated positions",
             f"dropped: {self.position_outliers} outliers in position, "
@@ -286,7 +288,7 @@ def clean_track(
     seconds after the first row of the file, by default the start of the longest stretch, for ten
     minutes, or what the stretch offers."""
     check_word("interpolated", interpolated, ("drop", "keep"))
-    counts: dict[str, int] = {"rows": raw.time.size}
+    counts: dict[str, int] = {"rows": raw.time.size, "reordered": raw.reordered}
     fixes = _distinct_fixes(raw, counts, interpolated == "drop")
     fixes = _without_outliers(fixes, counts)
     angle, speed = _trusted_velocities(fixes, counts)
@@ -346,11 +348,19 @@ def _distinct_fixes(raw: RawTrack, counts: dict[str, int], drop_interpolated: bo
         raw.track_deg,
     )
     complete = np.isfinite(raw.latitude + raw.longitude + raw.altitude)
-    require(
-        complete.sum() >= MINIMUM_FIXES,
-        f"{raw.name!r} must have at least {MINIMUM_FIXES} rows with a position and an "
-        f"altitude, got {complete.sum()}",
-    )
+    if complete.sum() < MINIMUM_FIXES:
+        lacking = {
+            "latitude": raw.latitude,
+            "longitude": raw.longitude,
+            "altitude": raw.altitude,
+        }
+        tally = ", ".join(
+            f"{name} in {int(np.isfinite(value).sum())}" for name, value in lacking.items()
+        )
+        raise ValueError(
+            f"{raw.name!r} must have at least {MINIMUM_FIXES} rows with a position and an "
+            f"altitude, got {complete.sum()} of {raw.time.size} ({tally})"
+        )
     fixes, known = fixes[complete], known[complete]
     again = repeated_positions(fixes.latitude, fixes.longitude, known)
     fixes = fixes[~again]
@@ -380,10 +390,13 @@ def _trusted_velocities(fixes: _Fixes, counts: dict[str, int]) -> tuple[Floats, 
     """Courses to be trusted, and speeds: reported ones where trusted, else made good. Groundspeeds
     that are not to be trusted become NaN in the fixes."""
     made = compute_ground_track(fixes.time, fixes.latitude, fixes.longitude)
+    _refuse_units(fixes, made)
     wrong = contradicting_speeds(fixes.groundspeed, made)
     wrong |= stale_runs(fixes.groundspeed, wrong)
     fixes.groundspeed[wrong] = np.nan
     angle, unwrapped = resolved_courses(fixes.track_deg, made.course)
+    flown = made.speed > AIRBORNE_SPEED
+    _refuse_courses(fixes.track_deg[flown], made.course[flown], angle[flown])
     rejected = np.isfinite(fixes.track_deg) & np.isnan(angle)
     rejected |= stale_runs(fixes.track_deg, rejected)
     angle[rejected] = np.nan
@@ -396,22 +409,105 @@ def _trusted_velocities(fixes: _Fixes, counts: dict[str, int]) -> tuple[Floats, 
     return angle, np.where(np.isnan(fixes.groundspeed), made.speed, fixes.groundspeed)
 
 
+SPEED_UNITS = {
+    "m/s": 1.0 / KNOT,
+    "mph": 0.44704 / KNOT,
+    "km/h": 1.0 / 3.6 / KNOT,
+    "kt (and the column is one of m/s)": KNOT,
+}
+"""Units that a groundspeed may have, by the one that it was taken for."""
+UNIT_TOLERANCE = 0.04  # of a ratio of speeds, within which a unit explains it
+HEADING_OFFSET = math.radians(3.0)  # of courses from those made good, in the median [rad]
+WINDOW = 20  # courses in the window of such a median
+FEWEST_COMPARED = 10  # speeds or courses from which it is said what is wrong with all of them
+MOST = 0.8  # share of the courses that an error explains
+
+
+def _refuse_units(fixes: _Fixes, made: GroundTrack) -> None:
+    """Raise where another unit would make the reported speeds those that were made good."""
+    with np.errstate(invalid="ignore"):
+        compared = np.isfinite(fixes.groundspeed) & (made.speed > AIRBORNE_SPEED)
+        slow, fast = (
+            fixes.groundspeed[compared] / each[compared] for each in (made.speed, made.path_speed)
+        )
+    if slow.size < FEWEST_COMPARED:
+        return
+    ratio = math.sqrt(float(np.median(slow)) * float(np.median(fast)))
+    for unit, factor in SPEED_UNITS.items():
+        if ratio > 0.0 and abs(math.log(ratio * factor)) < UNIT_TOLERANCE:
+            raise ValueError(
+                f"the groundspeeds are {ratio:.3g} times as high as the positions say: are they "
+                f"in {unit}? Name the column by its unit (groundspeed_kt, groundspeed_mps), or "
+                "leave it out"
+            )
+
+
+def _refuse_courses(track_deg: Floats, course: Floats, angle: Floats) -> None:
+    """Raise where the reported courses are wrong in a way that explains them all. `course`: made
+    good; `angle`: as of `resolved_courses`."""
+    compared = np.isfinite(track_deg) & np.isfinite(course)
+    if compared.sum() < FEWEST_COMPARED:
+        return
+    reported, made = np.radians(track_deg[compared]), course[compared]
+    if np.isfinite(angle[compared]).mean() > MOST:
+        off = _wrap_angle(angle[compared] - made)
+        off = off[np.isfinite(off)]
+        windows = [np.median(off[k : k + WINDOW]) for k in range(0, off.size - WINDOW + 1, WINDOW)]
+        typical = float(np.median(np.abs(windows))) if windows else 0.0
+        if typical > HEADING_OFFSET:
+            raise ValueError(
+                f"the courses differ by {math.degrees(typical):.1f} deg from those of the "
+                "positions: are they headings, or magnetic? A track over ground is needed; leave "
+                "the column out where there is none"
+            )
+        return
+    explanations = {
+        "latitude and longitude seem to be swapped": 0.5 * math.pi - made,
+        "the latitude seems to have lost its sign (south is negative)": math.pi - made,
+        "the longitude seems to have lost its sign (west is negative)": -made,
+    }
+    for text, expected in explanations.items():
+        if (np.abs(_wrap_angle(reported - expected)) <= COURSE_TOLERANCE).mean() > MOST:
+            raise ValueError(f"{text}: the courses contradict the positions")
+    if (np.abs(_wrap_angle(track_deg[compared] - made)) <= COURSE_TOLERANCE).mean() > MOST:
+        raise ValueError("the courses seem to be in radians: they must be in degrees")
+
+
 def _airborne_stretches(
     name: str, fixes: _Fixes, speed: Floats, counts: dict[str, int]
 ) -> list[tuple[int, int]]:
     """Stretches in the air and without a gap, longest first; at least one."""
     airborne = (speed > AIRBORNE_SPEED) & (fixes.altitude > 0.0)
-    found = stretches(fixes.time, broken_links(fixes.time, fixes.position_e), airborne)
+    broken = broken_links(fixes.time, fixes.position_e)
+    found = stretches(fixes.time, broken, airborne)
     found = [(first, last) for first, last in found if last - first + 1 >= MINIMUM_FIXES]
     counts.update(grounded=int((~airborne).sum()), stretches=len(found))
     if not found:
-        tally = ", ".join(f"{key} {value}" for key, value in counts.items())
+        why = _explain_no_stretch(fixes, speed, broken, counts)
         raise ValueError(
             f"{name!r} must have an airborne stretch of at least {MINIMUM_FIXES} fixes without a "
-            f"gap over {LARGEST_GAP_S:g} s, got none ({tally}); a simulated track without noise "
-            "needs interpolated='keep'"
+            f"gap over {LARGEST_GAP_S:g} s, got none: {why}"
         )
     return found
+
+
+def _explain_no_stretch(fixes: _Fixes, speed: Floats, broken: Mask, counts: dict[str, int]) -> str:
+    """The reason why most fixes are in no stretch, with what helps."""
+    count = fixes.time.size
+    with np.errstate(invalid="ignore"):
+        slow, low = int((speed <= AIRBORNE_SPEED).sum()), int((fixes.altitude <= 0.0).sum())
+    reasons = {
+        f"{slow} of {count} fixes are at {AIRBORNE_SPEED / KNOT:g} kt or slower, and only flights "
+        "of aeroplanes are flown": slow,
+        f"{low} of {count} fixes are at an altitude of 0 or below; is the altitude in another unit "
+        "or column (`altitude_unit`)?": low,
+        f"{int(broken.sum())} of {max(count - 1, 0)} intervals between fixes are longer than "
+        f"{LARGEST_GAP_S:g} s or hold a jump; the track is too sparse": int(broken.sum()),
+        f"{counts['interpolated']} of {counts['rows']} rows lie on the line between their "
+        "neighbours and count as interpolated; a simulated track without noise needs "
+        "interpolated='keep'": counts["interpolated"],
+    }
+    return max(reasons, key=lambda text: reasons[text])
 
 
 def _chosen_stretch(

@@ -11,6 +11,7 @@ drops copies, and records that their neighbours in time, which describe the same
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
@@ -159,6 +160,13 @@ class Ephemerides:
         """Some of the records, by indices (S,) in their order, or booleans (R,)."""
         index = np.asarray(records)
         return Ephemerides(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+
+def join_ephemerides(several: Sequence[Ephemerides]) -> Ephemerides:
+    """Records of several files, such as those of two days or of many hours."""
+    parts = [[getattr(each, f.name) for each in several] for f in fields(Ephemerides)]
+    named = zip(fields(Ephemerides), parts, strict=True)
+    return Ephemerides(**{f.name: np.concatenate(part) for f, part in named})
 
 
 def solve_kepler(mean_anomaly: ArrayLike, eccentricity: ArrayLike) -> NDArray[np.float64]:

@@ -1,7 +1,8 @@
-"""RINEX navigation files, versions 2 and 3: the GPS broadcast ephemerides in them.
+"""RINEX navigation files, versions 2 to 4: the GPS broadcast ephemerides in them.
 
-The format is that of "RINEX: The Receiver Independent Exchange Format", versions 2.11 and 3.05,
-sections on the GPS navigation message: a header, then eight lines of fixed columns to a record.
+The format is that of "RINEX: The Receiver Independent Exchange Format", versions 2.11,
+3.05 and 4.01, sections on the GPS navigation message: a header, then eight lines of fixed columns
+to a record, which in version 4 a line ``> EPH G01 LNAV`` announces.
 
 The package georinex reads these files too, and the tests compare with it.  It isn't used here,
 since version 1.16.2 drops every record of a satellite of which a version 2 file holds two records
@@ -41,6 +42,9 @@ FIELDS = {
     **dict(inclination=(4, 0), crc=(4, 1), perigee=(4, 2), node_rate=(4, 3)),
     **dict(inclination_rate=(5, 0), health=(6, 1), group_delay=(6, 2)),
 }  # line and column of the fields of a record; in line 0 the satellite and epoch are column 0
+
+OPTIONAL = {"clock_bias", "clock_drift", "clock_drift_rate", "issue", "health", "group_delay"}
+"""Fields that no orbit needs."""
 
 
 def _compute_signed_range(bits: int, exponent: int, unit: float = 1.0) -> tuple[float, float]:
@@ -89,6 +93,7 @@ _LAYOUTS = {
         first_column=4,
     ),
 }
+_LAYOUTS[4] = _LAYOUTS[3]
 
 
 def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
@@ -106,8 +111,8 @@ def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
     records: list[dict[str, float]] = []
     others: Counter[str] = Counter()
     malformed, first = 0, ""
-    for number, block in _blocks(lines, path):
-        system = block[0][0] if version == 3 else "G"
+    for number, block in _blocks(lines, path, announced=version == 4):
+        system = block[0][0] if version >= 3 else "G"
         if system != "G":
             others[system] += 1
             continue
@@ -143,7 +148,7 @@ def _read_lines(path: Path) -> list[str]:
     content = read_file(path)
     if content.startswith(COMPRESS_MAGIC):
         raise FileError(f"{path} is compressed by `compress`; unpack it first (`gzip -d` does)")
-    return content.decode("ascii", errors="replace").splitlines()
+    return content.decode("utf-8-sig", errors="replace").splitlines()
 
 
 def _checked_version(line: str, path: Path) -> int:
@@ -155,18 +160,21 @@ def _checked_version(line: str, path: Path) -> int:
     except (ValueError, OverflowError):
         raise FileError(f"{path} has no RINEX version, got {line[:9]!r}") from None
     if version not in _LAYOUTS:
-        raise FileError(f"{path} is of RINEX version {line[:9].strip()}, valid are 2 and 3")
+        raise FileError(f"{path} is of RINEX version {line[:9].strip()}, valid are 2 to 4")
     if not kind.startswith("N"):
         raise FileError(f"{path} is not a navigation file of GPS (N), got type {kind!r}")
     return version
 
 
-def _blocks(lines: list[str], path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line number and lines of each record: the first columns of its later lines are blank."""
+def _blocks(
+    lines: list[str], path: Path, announced: bool = False
+) -> Iterator[tuple[int, list[str]]]:
+    """Line number and lines of each record: the first columns of its later lines are blank;
+    `announced`: of records that follow a line for their kind, those of the legacy message."""
     end = next((k for k, line in enumerate(lines) if line[60:].strip() == "END OF HEADER"), None)
     if end is None:
         raise FileError(f"{path} is cut short: its header has no end")
-    number, block = 0, list[str]()
+    number, block, wanted = 0, list[str](), not announced
     for k, line in enumerate(lines[end + 1 :], start=end + 2):
         if not line.strip():
             continue
@@ -174,7 +182,11 @@ def _blocks(lines: list[str], path: Path) -> Iterator[tuple[int, list[str]]]:
             if block:
                 yield number, block
             number, block = k, []
-        block.append(line)
+        if announced and line.startswith(">"):
+            kind = line[1:].split()
+            wanted = len(kind) > 2 and kind[0] == "EPH" and (kind[1][0], kind[2]) == ("G", "LNAV")
+        elif wanted:
+            block.append(line)
     if block:
         yield number, block
 
@@ -188,7 +200,7 @@ def _parse(block: list[str], layout: _Layout) -> tuple[str, dict[str, float]]:
         1 <= number <= LAST_SATELLITE, f"the satellite must be 1 to {LAST_SATELLITE}, got {number}"
     )
     record = {
-        name: _number(block[line], layout.first_column + FIELD_WIDTH * column)
+        name: _number(block[line], layout.first_column + FIELD_WIDTH * column, name in OPTIONAL)
         for name, (line, column) in FIELDS.items()
     }
     for name, (low, high) in RANGES.items():
@@ -203,8 +215,11 @@ def _parse(block: list[str], layout: _Layout) -> tuple[str, dict[str, float]]:
     return f"G{number:02d}", record
 
 
-def _number(line: str, column: int) -> float:
+def _number(line: str, column: int, optional: bool) -> float:
+    """Value of a field; 0 of one that is blank, which stands for "not known", if it may be."""
     text = line[column : column + FIELD_WIDTH]
+    if optional and not text.strip():
+        return 0.0
     value = float(text.upper().replace("D", "E"))
     require(math.isfinite(value), f"a field must be finite, got {text!r}")
     return value

@@ -98,6 +98,7 @@ HEIGHT_SD = 10.0  # standard deviation of a height [m]: steps of 25 ft, and up t
 TURN_JERK_PSD = 0.2  # density of the jerk across the path [m^2/s^5]: 0.3 m/s^3 for 2 s
 SPEED_JERK_PSD = 0.005  # density of the jerk along the path [m^2/s^5]: 0.05 m/s^3 for 2 s
 CLIMB_JERK_PSD = 0.005  # spectral density of the vertical jerk [m^2/s^5]
+WORST_RMS = 3.0  # distance of the fixes from a path, in standard deviations, up to which it is one
 HUBER_LIMIT = 3.0  # misfit in standard deviations beyond which a measurement is doubted
 KNOT_INTERVAL = 3.0  # interval of the knots of the splines [s]
 DEGREE = 5  # degree of the splines; from 4 upwards the body rates are continuous
@@ -288,7 +289,13 @@ def _quadrature(edges: Floats) -> tuple[Floats, Floats]:
 def _solve(rows: list[csr_array], values: list[Floats]) -> Floats:
     stacked = csr_array(vstack(rows))
     normal = csc_array(stacked.T @ stacked)
-    return np.asarray(splu(normal).solve(stacked.T @ np.concatenate(values)))
+    try:
+        return np.asarray(splu(normal).solve(stacked.T @ np.concatenate(values)))
+    except RuntimeError as error:
+        raise ValueError(
+            "no path fits these fixes: their times or positions coincide; are the times in "
+            "seconds since 1970, milliseconds or ISO 8601?"
+        ) from error
 
 
 LOAD_LIMITS = (0.3, 2.5)  # normal load factors of a flight [g], the larger one of EASA CS-25.337
@@ -370,7 +377,14 @@ def fit_track(track: Track, *, rate_hz: float = 100.0) -> tuple[Flight, FitRepor
     flight = flight_from_geodetic(
         track.name, latitude, longitude, height, velocity_n, roll, pitch, yaw, 1.0 / rate_hz
     )
-    return flight, _report(track, path, flight)
+    report = _report(track, path, flight)
+    if report.position_rms_m > WORST_RMS * POSITION_SD:
+        raise ValueError(
+            f"the path that fits {track.name!r} is {report.position_rms_m:.0f} m RMS away from its "
+            f"fixes, more than {WORST_RMS * POSITION_SD:g} m: its speeds or courses contradict its "
+            "positions; leave these columns out, or correct their units"
+        )
+    return flight, report
 
 
 def coordinated_attitude(

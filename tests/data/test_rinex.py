@@ -175,7 +175,7 @@ def test_malformed_records_are_left_out_with_a_warning(written, old, new, said):
         ("", "is not a RINEX file"),
         ("#cP2010  7  1  0  0  0.00000000      96 ORBIT IGS05 HLM  IGS\n", "begins with '#cP2010"),
         (HEADER_2.replace("N: GPS NAV DATA ", "OBSERVATION DATA"), "got type 'OBSERVATION DATA'"),
-        (HEADER_3.replace("3.04", "4.00"), "version 4.00, valid are 2 and 3"),
+        (HEADER_3.replace("3.04", "5.00"), "version 5.00, valid are 2 to 4"),
         (HEADER_2[: HEADER_2.index("        END")] + "\n" + G05, "header has no end"),
         (HEADER_2 + G05[:99], r"1 malformed GPS records \(the first at line 5: a record has 8"),
         (HEADER_3 + R07, "no usable GPS satellite: 0 malformed GPS records, 1 records of other"),

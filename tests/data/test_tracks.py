@@ -144,6 +144,12 @@ def spoil(table, column, row, value):
     return changed
 
 
+def crawl(table):
+    """The same path at a tenth of the speed."""
+    slow = table.assign(groundspeed=0.1 * table.groundspeed)
+    return slow.assign(timestamp=START_S + 10.0 * (table.timestamp - START_S)).drop(columns="track")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -152,7 +158,6 @@ def spoil(table, column, row, value):
             lambda t: t.drop(columns=["latitude", "altitude"]),
             r"latitude \(latitude, lat\); altitude \(altitude_m.*got timestamp, icao24, longitude",
         ),
-        (lambda t: spoil(t, "timestamp", 7, START_S + 20.0), r"backwards, got -10 s from row 7 to"),
         (lambda t: spoil(t, "timestamp", 3, None), "every row must have a time, got none in row 4"),
         (lambda t: spoil(t, "timestamp", 3, "noon"), "`timestamp` must hold numbers or ISO 8601"),
         (lambda t: spoil(t, "latitude", 5, 91.5), r"-90 and 90 deg, got 91.5 deg in row 6"),
@@ -160,13 +165,175 @@ def spoil(table, column, row, value):
         (lambda t: t.assign(timestamp=9e9), r"`time` must lie between 0 and 4102444800 s, got 9"),
         (lambda t: t.assign(LATITUDE=0.0), "each column once, got 'latitude' twice"),
         (lambda t: t.iloc[:4], "at least 6 rows with a position and an altitude, got 4"),
-        (lambda t: t.assign(altitude=0.0), "airborne stretch of at least 6 fixes"),
-        (lambda t: t.assign(groundspeed=50.0, track=np.nan).iloc[::9], "a gap over 30 s"),
+        # one reason each, the one that holds
+        (lambda t: t.assign(altitude=0.0), "at an altitude of 0 or below; is the altitude in"),
+        (lambda t: t.iloc[::9], "longer than 30 s or hold a jump; the track is too sparse"),
+        (lambda t: crawl(t), "57 of 57 fixes are at 60 kt or slower"),
+        # errors that explain everything, by their likeliest cause
+        (lambda t: t.assign(groundspeed=t.groundspeed * KNOT), "0.51. times .* are they in m/s"),
+        (
+            lambda t: t.assign(groundspeed=t.groundspeed * 1.15078),
+            r"1\.1. times .* are they in mph",
+        ),
+        (lambda t: t.assign(groundspeed=t.groundspeed * 1.852), r"1\.8. times .* are they in km/h"),
+        (
+            lambda t: t.rename(columns={"groundspeed": "groundspeed_mps"}),
+            r"1\.9. times .* are they in kt",
+        ),
+        (lambda t: t.assign(track=t.track + 7.0), r"differ by \d\.\d deg .* are they headings"),
+        (
+            lambda t: t.assign(latitude=t.longitude, longitude=t.latitude),
+            "latitude and longitude seem to be swapped: the courses contradict the positions",
+        ),
+        (
+            lambda t: t.assign(latitude=t.longitude + 90.0, longitude=t.latitude),
+            "57 of 57 do not: latitude and longitude seem to be swapped",
+        ),
+        (lambda t: t.assign(latitude=-t.latitude), "latitude seems to have lost its sign"),
+        (lambda t: t.assign(longitude=-t.longitude), "longitude seems to have lost its sign"),
+        (lambda t: t.assign(track=np.radians(t.track)), "the courses seem to be in radians"),
+        (
+            lambda t: t.assign(timestamp=45_000.0 + (t.timestamp - START_S) / 86_400.0),
+            "look like the days of a spreadsheet",
+        ),
     ],
 )
 def test_what_is_no_track_is_refused(table, change, message):
     with pytest.raises(ValueError, match=message):
         clean_track(track_from_frame(change(table), "bad"))
+
+
+def test_rows_out_of_order_are_sorted_and_it_is_said(table):
+    order = np.random.default_rng(1).permutation(len(table))
+    track, report = cleaned(table.iloc[order])
+    whole, _ = cleaned(table)
+    np.testing.assert_array_equal(track.latitude, whole.latitude)
+    assert report.reordered == (order < np.maximum.accumulate(order)).sum() > 0
+    assert f"{report.reordered} out of order and sorted" in report.lines()[0]
+
+
+def write_services(table):
+    """The same fixes as services and spreadsheets write them, by file name."""
+    records = table.to_dict("records")
+    metres = [
+        {**row, "altitude": row["altitude"] * FOOT, "speed": row["groundspeed"] * KNOT}
+        for row in records
+    ]
+    states = [
+        {
+            "time": row["timestamp"],
+            "states": [
+                [
+                    "4b1801",
+                    "",
+                    "",
+                    row["timestamp"],
+                    row["timestamp"],
+                    row["longitude"],
+                    row["latitude"],
+                    row["altitude"],
+                    False,
+                    row["speed"],
+                    row["track"],
+                    0.0,
+                    None,
+                    row["altitude"],
+                ]
+            ],
+        }
+        for row in metres
+    ]
+    path = [
+        [row["timestamp"], row["latitude"], row["longitude"], row["altitude"], row["track"], False]
+        for row in metres
+    ]
+    trace = [
+        [
+            row["timestamp"] - START_S,
+            row["latitude"],
+            row["longitude"],
+            row["altitude"],
+            row["groundspeed"],
+            row["track"],
+            0,
+            0,
+            None,
+        ]
+        for row in records
+    ]
+    ground = [-5.0, *trace[0][1:3], "ground", 0.0, None, 0, 0, None]
+    snapshots = [
+        {
+            "now": row["timestamp"] + 0.5,
+            "aircraft": [
+                {"hex": "4b1801", "lat": row["latitude"], "lon": row["longitude"], "seen_pos": 0.5}
+                | {"alt_baro": row["altitude"], "gs": row["groundspeed"], "track": row["track"]},
+                {"hex": "no-position"},
+            ],
+        }
+        for row in records
+    ]
+    playback = [
+        {
+            "timestamp": row["timestamp"],
+            **{name: row[name] for name in ("latitude", "longitude")},
+            "altitude": {"feet": row["altitude"], "meters": row["altitude"] * FOOT},
+            "speed": {"kmh": row["groundspeed"] * 1.852, "kts": row["groundspeed"]},
+            "heading": row["track"],
+        }
+        for row in records
+    ]
+    database = table.rename(columns={"timestamp": "time", "latitude": "lat", "longitude": "lon"})
+    database = database.assign(
+        velocity=table.groundspeed * KNOT, heading=table.track, baroaltitude=table.altitude * FOOT
+    ).drop(columns=["groundspeed", "track", "altitude"])
+    radar = pandas.DataFrame(
+        {
+            "Timestamp": table.timestamp.astype(int),
+            "UTC": "2023-11-14T22:13:20Z",
+            "Callsign": "AB12",
+            "Position": [
+                f"{a!r},{b!r}" for a, b in zip(table.latitude, table.longitude, strict=True)
+            ],
+            "Altitude": table.altitude,
+            "Speed": table.groundspeed,
+            "Direction": table.track,
+        }
+    )
+    return {
+        "lines.jsonl": "\n".join(json.dumps(row) for row in records),
+        "semicolon.csv": "\ufeff" + table.to_csv(index=False, sep=";", decimal=","),
+        "tab.csv": table.to_csv(index=False, sep="\t"),
+        "states.json": json.dumps(states),
+        "states.jsonl": "\n".join(map(json.dumps, states)),
+        "path.json": json.dumps({"icao24": "4b1801", "startTime": START_S, "path": path}),
+        "trace_full.json": json.dumps(
+            {"icao": "4b1801", "timestamp": START_S, "trace": [ground, *trace]}
+        ),
+        "snapshots.jsonl": "\n".join(map(json.dumps, snapshots)),
+        "playback.json": json.dumps(
+            {"result": {"response": {"data": {"flight": {"track": playback}}}}}
+        ),
+        "database.csv": database.to_csv(index=False),
+        "radar.csv": radar.to_csv(index=False),
+    }
+
+
+def test_tracks_of_services_and_spreadsheets_read_as_they_come(tmp_path, table):
+    whole = track_from_frame(table, "whole")
+    for name, text in write_services(table).items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        raw = read_track(tmp_path / name)
+        last = slice(raw.time.size - whole.time.size, None)  # a trace has a point on the ground
+        for field in ("latitude", "longitude", "altitude", "groundspeed", "track_deg"):
+            found, expected = getattr(raw, field)[last], getattr(whole, field)
+            if name == "path.json" and field == "groundspeed":  # it has none
+                expected = np.full_like(expected, np.nan)
+            np.testing.assert_allclose(
+                found, expected, rtol=1e-9, atol=1e-9, err_msg=f"{name} {field}"
+            )
+        known = np.where(np.isfinite(raw.position_time), raw.position_time, raw.time)
+        np.testing.assert_allclose(known[last], whole.time, err_msg=name)
 
 
 def test_an_empty_or_unknown_file_is_refused_and_pandas_asked_for(tmp_path, monkeypatch):
