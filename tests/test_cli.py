@@ -28,7 +28,7 @@ WORLD = ("run", "bench", "limits", "dataset")
 
 def test_help_of_every_command_with_the_options_of_the_world_where_it_plays():
     text = call("--help").output
-    for command in (*WORLD, "list", "audit", "game", "report", "warmup"):
+    for command in (*WORLD, "demo", "list", "audit", "game", "report", "warmup"):
         assert command in text
         page = call(command, "--help")
         assert page.exit_code == 0
@@ -40,6 +40,17 @@ def test_help_of_every_command_with_the_options_of_the_world_where_it_plays():
         options = [option.name for option in group.commands[command].params]
         start = options.index("env")
         assert options[start : start + len(names)] == names
+
+
+def test_a_demo_shows_one_attack_that_is_missed_and_found():
+    shown = call("demo")
+    missed, found = (line for line in shown.output.splitlines() if " raises " in line)
+    assert missed.startswith("ewma raises no alarm: the position ends 59.1 m off.")
+    assert found.startswith("snapshot-chi2 raises an alarm after 4 s: 0.0 m went undetected.")
+    assert "Next: spoofgym audit ewma --budget quick" in shown.output
+    assert Path("demo.png").stat().st_size > 20_000
+    runs = read("demo", "--no-picture", "--json")["runs"]
+    assert [run["alarm"] for run in runs] == [False, True]
 
 
 def test_list_names_all_there_is_and_marks_oracles(monkeypatch):
