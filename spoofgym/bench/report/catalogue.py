@@ -16,6 +16,7 @@ from ...policies import SpooferCard, list_shipped, load_card
 from ...policies.card import SPOOFER
 from ...simulation.setup import Setup
 from ...spoofers import SPOOFERS
+from ...tasks import DETECTOR_TASKS, TASKS
 from ...truth.scenario import SCENARIOS
 from .cards import score_text
 from .table import Table
@@ -66,7 +67,8 @@ def _envs() -> list[dict[str, Any]]:
     import gymnasium
     from gymnasium.envs.registration import load_env_creator
 
-    rows = []
+    rows, tasks = [], (*TASKS.items(), *DETECTOR_TASKS.items())
+    titles = {each.env_id: f"task {key}: {each.title}" for key, each in tasks}
     for name, spec in sorted(gymnasium.registry.items()):
         if spec.namespace != "spoofgym":
             continue
@@ -74,11 +76,12 @@ def _envs() -> list[dict[str, Any]]:
         creator = load_env_creator(entry) if isinstance(entry, str) else entry
         assert creator is not None  # of ours, each has one
         victim = spec.kwargs.get("victim")
+        task = titles.get(spec.id)
         setup = None if victim is None else VICTIMS[victim]
         rows.append(
             {
                 "name": name,
-                "summary": get_summary(setup or creator),
+                "summary": task or get_summary(setup or creator),
                 "settings": {**_defaults(creator, setup), **describe(spec.kwargs)},
             }
         )
@@ -122,14 +125,17 @@ def _mark_summary(row: Mapping[str, Any]) -> str:
     return f"{row['summary']} [{'; '.join(marks)}]" if marks else str(row["summary"])
 
 
-NAMED = Table(
-    ("name", "name"),
-    ("what it is", _mark_summary),
-    (
-        "settings and their defaults",
-        lambda row: ", ".join(f"{key}={value}" for key, value in row["settings"].items()),
-    ),
-)
+LONGEST = 14
+"""Characters of a default that a table of names shows; `spoofgym list NAME` has all."""
+
+
+def _shorten_settings(row: Mapping[str, Any]) -> str:
+    pairs = ((key, f"{key}={value}", str(value)) for key, value in row["settings"].items())
+    return ", ".join(pair if len(value) <= LONGEST else key for key, pair, value in pairs)
+
+
+NAMED = Table(("name", "name"), ("what it is", _mark_summary), ("settings", _shorten_settings))
+ENVS = Table(("name", "name"), ("what it is (settings: spoofgym list NAME)", "summary"))
 SHIPPED = Table(
     ("name", "name"),
     ("what it is", "summary"),
@@ -173,4 +179,4 @@ def list_settings(kind: str, name: str) -> list[dict[str, Any]]:
 
 
 def select_table(kind: str) -> Table:
-    return SHIPPED if kind == "shipped" else NAMED
+    return {"shipped": SHIPPED, "envs": ENVS}.get(kind, NAMED)
