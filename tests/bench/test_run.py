@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from spoofgym.bench.report.figures import play_frames
+from spoofgym.bench.report.figures import Screen, play_frames
 from spoofgym.bench.runs.episode import TWIN, alarm_intervals, draw_episode, play_episode
 from spoofgym.bench.runs.play import (
     SpooferController,
@@ -214,3 +214,20 @@ def test_a_spoofer_of_a_campaign_sees_what_the_victim_reports(monkeypatch, episo
     again = play_episode(reported.world, judge, ramp, run=3)
     assert json.dumps(again.summary()) == json.dumps(episode.summary())
     assert len(list(play_frames(reported, judge, ramp, every=1000))) == 2
+
+
+def test_an_animation_counts_displacement_in_any_direction_as_the_score_does(monkeypatch):
+    across = {"name": "ramp", "heading_deg": 0.0, "rate_mps": 0.2}  # the target is east
+    suite = small_suite(detectors=("never",), spoofers=(across,))
+    judge, ramp = suite.detector_players[0], suite.spoofer_players[-1]
+    shown, add = [], Screen.add
+
+    def record(screen, info):
+        shown.append(float(info["undetected_displacement_m"]))
+        add(screen, info)
+
+    monkeypatch.setattr(Screen, "add", record)
+    list(play_frames(suite, judge, ramp, every=1000))
+    summary = play_episode(suite.world, judge, ramp).summary()
+    assert shown[-1] == pytest.approx(summary["undetected_displacement_m"], abs=1e-4)
+    assert shown[-1] > 1.0

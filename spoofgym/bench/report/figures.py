@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import re
 import textwrap
@@ -265,8 +266,11 @@ def play_frames(
     uint8."""
     run, every = whole_number("`run`", run), whole_number("`every`", every, 1)
     setup = suite.setup(detector, [spoofer])
-    action = make_command_map(make_spoofer(spoofer.spec), setup).terms
-    core = SpoofCore(1, setup, action=action, end_at_alarm=False, threads=1)
+    commands = make_command_map(make_spoofer(spoofer.spec), setup)
+    if not commands.along_target:  # the score of a campaign counts any direction
+        setup = copy.copy(setup)
+        setup.target_heading_deg = "worst"
+    core = SpoofCore(1, setup, action=commands.terms, end_at_alarm=False, twin=True, threads=1)
     screen = Screen("rgb_array", CoreRecorder(core))
     core.reset(suite.generators("evaluation", run + 1, run))
     attacker = SpooferController([spoofer.spec], core.engine)
