@@ -17,6 +17,7 @@ from spoofgym.cli.options import WorldOptions
 from spoofgym.detectors import DETECTORS
 from spoofgym.policies import list_shipped
 from spoofgym.spoofers import SPOOFERS
+from spoofgym.tasks import TASKS
 
 from .command_line import FIXED, QUICK, SHORT, TRAINING, TWO, call, read, refused
 
@@ -74,7 +75,11 @@ def test_list_names_all_there_is_and_marks_oracles(monkeypatch):
     assert names["spoofers"]["ramp"].items() >= {**ramp, "knowledge": "blind"}.items()
     for name, row in names["envs"].items():
         assert row["settings"].items() >= json.loads(json.dumps(gym.spec(name).kwargs)).items()
-    assert "decision_interval_s=10.0" in " ".join(call("list", "envs").output.split())
+    table = " ".join(call("list", "envs").output.split())
+    assert f"spoofgym/BenchS2-v2 task S2: {TASKS['S2'].title}" in table
+    assert "pool" not in table  # nor any other setting, which fill a screen each
+    whole = call("list", "spoofgym/BenchS2-v2").output
+    assert "decision_interval_s" in whole
     oracles = [name for name, row in names["detectors"].items() if row["oracle"]]
     assert oracles == ["oracle-ramp", "oracle-step"]
     assert names["detectors"]["fixes"]["measures"] == "position"

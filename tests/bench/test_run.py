@@ -223,7 +223,7 @@ def test_an_animation_counts_displacement_in_any_direction_as_the_score_does(mon
     shown, add = [], Screen.add
 
     def record(screen, info):
-        shown.append(float(info["undetected_displacement_m"]))
+        shown.append(float(info.get("undetected_displacement_m", 0.0)))
         add(screen, info)
 
     monkeypatch.setattr(Screen, "add", record)
