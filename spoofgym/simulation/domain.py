@@ -26,7 +26,7 @@ from ..receiver.matching import (
 )
 from ..receiver.tight import NoiseModel
 from ..truth.events import BenignEvents
-from ..truth.gnss_errors import ERRORS, RENAMED, GnssErrors
+from ..truth.gnss_errors import ERRORS, GnssErrors
 from ..truth.run import GroundTruth
 from ..truth.satellites import CircularConstellation
 from ..truth.scenario import TURN_ON, Scenario
@@ -128,7 +128,7 @@ class Domain:
                 raise ValueError(f"`{name}` must be a name or a list of names, got {given!r}")
             given = tuple(given)
             for each in given:
-                check_choice("imu grade" if name == "imu" else name, each, valid, RENAMED)
+                check_choice("imu grade" if name == "imu" else name, each, valid)
             object.__setattr__(self, name, given)
         require(
             self.worlds in (None, 1) or self.varies,

@@ -16,7 +16,7 @@ from ..detectors.base import UndeclaredFieldError, check_needs, check_verdict, d
 from ..detectors.build import bare_detector
 from ..policies.card import DetectorCard
 from ..receiver.epoch import Epoch, TracedEpoch
-from .ages import can_fly, check_ages
+from .ages import can_fly, check_ages, check_stationary
 from .contract import (
     ContractTrial,
     Record,
@@ -29,7 +29,6 @@ from .contract import (
     same_bits,
 )
 from .epochs import CHANNELS, COORDINATES, Script, engine_script, position_script, trying_script
-from .stationary import check_stationary
 from .steady import SteadyEpochs
 
 WINDOW_EPOCHS = 120

@@ -20,12 +20,9 @@ from ...simulation.domain import FloatArray
 from ...simulation.monitors import HISTORY_EPOCHS, PastPositions, reports
 from ...simulation.setup import Setup
 from ...simulation.simulator import Simulator
+from ...spoofers.base import KNOWLEDGE, LEVELS, REPORTED
 from .._kernels import own_command, time_fractions
 from .action import command_axes
-
-LEVELS = ("blind", "tracking", "oracle")
-REPORTED = "reported"
-KNOWLEDGE = (*LEVELS, *(f"{level}+{REPORTED}" for level in LEVELS))
 
 
 class Snapshot(NamedTuple):
