@@ -530,14 +530,10 @@ class Combinations:
     def first_C_eb(self, grade: NDArray[np.int64], epochs: NDArray[np.int64]) -> FloatArray:
         """(b, 3, 3) attitudes, to ECEF from body axes, with which receivers start at `epochs`, with
         the first error of their grades."""
-        errors = np.array([_first_turn(each) for each in self._grades])[grade]
+        turns = [euler_to_dcm(*(-np.radians(each.attitude_error_deg))) for each in self._grades]
+        errors = np.array(turns)[grade]
         world = self.world.at_hand
         C_en, C_eb = world.C_en[epochs], world.C_eb[epochs]
         # the error turns the local axes: C_nb (estimated) = dC C_nb
         C_ne = np.ascontiguousarray(C_en.transpose(0, 2, 1))
         return np.asarray(C_en @ (errors.transpose(0, 2, 1) @ (C_ne @ C_eb)))
-
-
-def _first_turn(grade: ImuGrade) -> FloatArray:
-    """(3, 3) error of the local axes with which a receiver of this grade starts."""
-    return euler_to_dcm(*(-np.radians(grade.attitude_error_deg)))

@@ -22,7 +22,7 @@ from ..receiver.epoch import Epoch
 from ..simulation.setup import make_generators
 from ..simulation.tight import TightlyCoupledSetup
 from .contract import require_contract
-from .steady import SteadyEpochs
+from .epochs import SteadyEpochs
 
 FloatArray = NDArray[np.float64]
 AGES_S = (180.0, 600.0, 1800.0)

@@ -28,8 +28,15 @@ from .contract import (
     run_trial,
     same_bits,
 )
-from .epochs import CHANNELS, COORDINATES, Script, engine_script, position_script, trying_script
-from .steady import SteadyEpochs
+from .epochs import (
+    CHANNELS,
+    COORDINATES,
+    Script,
+    SteadyEpochs,
+    engine_script,
+    position_script,
+    trying_script,
+)
 
 WINDOW_EPOCHS = 120
 """Longest window that is looked for; at 0.5 s an epoch."""

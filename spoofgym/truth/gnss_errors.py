@@ -188,11 +188,5 @@ class PositionErrors:
 
 @inline_njit
 def gauss_markov_step(error: float, decay: float, sd: float, deviate: float) -> float:
-    r"""Next error of one axis.
-
-    .. math:: e_k = \beta e_{k-1} + \sigma \sqrt{1 - \beta^2} \, n_k
-
-    `error`: last error [m]; `sd`: standard deviation sigma, the same at all epochs [m]; returns the
-    error [m].
-    """
+    """Next error of one axis [m] by the last one, as of `PositionErrors`; `sd` is sigma [m]."""
     return decay * error + sd * math.sqrt(1.0 - decay * decay) * deviate

@@ -195,11 +195,6 @@ class DetectorWrapper(SingleWrapper):
         warn_uncalibrated(detector, setup.detector, false_alarms_per_hour, setup)
 
 
-def first_values(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """Values of the one receiver of a single environment."""
-    return {name: array.item() for name, array in arrays.items()}
-
-
 class EpochInfo(SingleWrapper):
     """Adds ``info["epochs"]``, as the argument ``epoch=`` does.
 
@@ -283,7 +278,8 @@ class PassiveDetector(SingleWrapper):
         epochs: dict[str, Any] = {
             name: [info[name]] for name in ("epochs", "settling_epochs") if name in info
         }
-        return first_values(self.judge.judge(epochs, np.array([fresh])))
+        found = self.judge.judge(epochs, np.array([fresh]))
+        return {name: array.item() for name, array in found.items()}
 
 
 class ResidualAction(SingleWrapper):
