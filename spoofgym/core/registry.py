@@ -33,14 +33,10 @@ def suggest_name(value: object, names: Iterable[str]) -> str:
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
-def check_choice(
-    word: str, value: str, valid: Iterable[str], renamed: Mapping[str, str] | None = None
-) -> None:
-    """Raise unless a name is one of the valid ones; `renamed`: new names by old ones."""
+def check_choice(word: str, value: str, valid: Iterable[str]) -> None:
+    """Raise unless a name is one of the valid ones."""
     names = sorted(valid)
     if value not in names:
-        if renamed and value in renamed:
-            raise ValueError(f"{word} {value!r} is now called {renamed[value]!r}")
         hint = suggest_name(value, names)
         raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")
 

@@ -187,19 +187,9 @@ class Ewma(WeighingChart):
         size, threshold = np.empty(shape), np.empty(shape)
         weights = np.empty(epoch.innovation.shape)
         smoothing, quantile, scale = self.kernel_settings.tolist()
-        judge_channels(
-            epoch.innovation,
-            epoch.innovation_variance,
-            epoch.visible,
-            smoothing,
-            quantile,
-            scale,
-            self.memory["average"],
-            self.memory["decay"],
-            size,
-            threshold,
-            weights,
-        )
+        signal = epoch.innovation, epoch.innovation_variance, epoch.visible
+        chart = self.memory["average"], self.memory["decay"]
+        judge_channels(*signal, smoothing, quantile, scale, *chart, size, threshold, weights)
         if self.limits_exclusions:
             self._limit_exclusions(size, threshold, epoch, weights)
         return compare(size, threshold, None if self.weight_scale is None else weights)
@@ -314,22 +304,10 @@ class JointChart(WeighingChart):
     def judge(self, epoch: Epoch) -> Verdict:
         shape, memory = epoch.visible.shape, self.memory
         size, threshold = np.empty(shape), np.empty(shape)
-        judge_joint_channels(
-            epoch.innovation,
-            epoch.innovation_variance,
-            epoch.visible,
-            self.smoothing,
-            self._quantile,
-            self.drop,
-            self.end_rule == "literal",
-            self.alarm_scale,
-            memory["average"],
-            memory["decay"],
-            memory["ratios"],
-            memory["spoofed"],
-            size,
-            threshold,
-        )
+        signal = epoch.innovation, epoch.innovation_variance, epoch.visible
+        end = self.drop, self.end_rule == "literal", self.alarm_scale
+        chart = memory["average"], memory["decay"], memory["ratios"], memory["spoofed"]
+        judge_joint_channels(*signal, self.smoothing, self._quantile, *end, *chart, size, threshold)
         alarm, limit, weights = memory["spoofed"] > 0, self.alarm_scale * threshold, None
         if self.weight_scale is not None:
             weights = chart_weights(size, self.weight_scale * threshold)

@@ -69,15 +69,6 @@ def search_data(receivers: int, n: int) -> SearchData:
 
 
 @njit
-def tabulate_cases(lines: FloatArray, offsets: FloatArray, data: SearchData) -> None:
-    """Prepare the search of many sets of pseudoranges, `offsets` (C, n) y [m], of one geometry that
-    isn't singular, `lines` (n, 3) g."""
-    for c in range(offsets.shape[0]):
-        data.lines[c], data.offsets[c] = lines, offsets[c]
-        tabulate(offsets.shape[1], lines, data.offsets[c], data.table[c])
-
-
-@njit
 def line_up(
     pseudorange: FloatArray,
     satellite_position: FloatArray,

@@ -100,8 +100,6 @@ class AverageInnovation(_Term):
     .. math:: \Lambda_k = \lambda z_k / \sigma_k + (1 - \lambda) \Lambda_{k-1}, \qquad
         \Lambda_k / \sqrt{\lambda / (2 - \lambda)}
 
-    Notes
-    -----
     `roberts1959`.  A satellite that sets starts again.
     """
 

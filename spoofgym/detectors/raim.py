@@ -340,16 +340,9 @@ def search_all(data: SearchData, limit: FloatArray, vectors: FloatArray) -> None
     order, scratch = np.empty(n, dtype=np.int64), np.empty((3, max(n, PRODUCTS)))
     for b in range(data.alarm.shape[0]):
         if data.alarm[b]:
-            data.solved[b], data.mask[b], data.positionings[b] = search(
-                data.rows[b],
-                data.lines[b],
-                data.offsets[b],
-                data.table[b],
-                limit,
-                vectors,
-                order,
-                scratch,
-            )
+            case = data.rows[b], data.lines[b], data.offsets[b], data.table[b]
+            found = search(*case, limit, vectors, order, scratch)
+            data.solved[b], data.mask[b], data.positionings[b] = found
 
 
 @settings_record

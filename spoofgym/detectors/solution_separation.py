@@ -206,20 +206,11 @@ class SolutionSeparation(FilterTest):
             mine = own.top, self._rest, own.white, own.counts, self._spacing, *self._starts
             advance_anchored(rows, *mine, *(memory[name] for name in ANCHORED))
             return
-        advance_bank(
-            rows,
-            cast(FloatArray, epoch.transition),
-            cast(FloatArray, epoch.predicted_cov),
-            cast(FloatArray, epoch.design),
-            epoch.innovation,
-            cast(FloatArray, epoch.innovation_cov),
-            epoch.visible,
-            self._fewest,
-            *self._starts,
-            memory["epochs"],
-            memory["separation"],
-            memory["covariance"],
-        )
+        model = epoch.transition, epoch.predicted_cov, epoch.design, epoch.innovation_cov
+        Phi, P, H, S = (cast(FloatArray, each) for each in model)
+        bank = memory["epochs"], memory["separation"], memory["covariance"]
+        seen = epoch.innovation, S, epoch.visible, self._fewest
+        advance_bank(rows, Phi, P, H, *seen, *self._starts, *bank)
 
     @property
     def _bank(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:

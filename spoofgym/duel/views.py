@@ -240,10 +240,8 @@ class PooledVectorView(CoreVectorEnv[C]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        if self._pool_changed:
-            mask = read_mask(options, self.num_envs)
-            if mask is not None and not mask.all():
-                raise ValueError(f"{POOL_CHANGED}: the next reset must reset all receivers")
+        if self._pool_changed and not read_mask(options, self.num_envs).all():
+            raise ValueError(f"{POOL_CHANGED}: the next reset must reset all receivers")
         begun = super().reset(seed=seed, options=options)
         self._pool_changed = False
         return begun

@@ -325,35 +325,10 @@ def finish(
     step_count, undetected, largest, detected, ended, _, twin_alarmed = unpack_score(
         raw, receivers, int(rules[STEPS])
     )
-    held = not scored and score(
-        alarms,
-        early,
-        rules,
-        step_count,
-        detected,
-        ended,
-        undetected,
-        largest,
-        values,
-        marks,
-        0,
-        receivers,
-    )
+    progress, written = (detected, ended, undetected), (values, marks, 0, receivers)
+    held = not scored and score(alarms, early, rules, step_count, *progress, largest, *written)
     if not held:
-        settle(
-            rules,
-            detected,
-            ended,
-            undetected,
-            twin_alarmed,
-            warmup_alarm,
-            coasting,
-            epochs,
-            values,
-            marks,
-            0,
-            receivers,
-        )
+        settle(rules, *progress, twin_alarmed, warmup_alarm, coasting, epochs, *written)
         if seen.shape[0] > 0:
             out = seen.reshape((receivers, table.shape[1]))
             moved = displacement, rate, direction
@@ -410,36 +385,15 @@ def play_epoch(
     )
     step_count, detected = integers_at(entries, STEP_COUNT), flags_at(entries, DETECTED_SO_FAR)
     ended, undetected = flags_at(entries, ENDED), floats_at(entries, UNDETECTED_SO_FAR)
+    progress, written = (detected, ended, undetected), (values, marks, lo, hi)
     largest, alarms = floats_at(entries, LARGEST), flags_at(memories, ALARMS)
-    if score(
-        alarms.reshape((receivers, alarms.shape[0] // receivers)),
-        flags_at(entries, NO_ROWS),
-        rules,
-        step_count,
-        detected,
-        ended,
-        undetected,
-        largest.reshape((largest.shape[0] // receivers, receivers)),
-        values,
-        marks,
-        lo,
-        hi,
-    ):
+    largest = largest.reshape((largest.shape[0] // receivers, receivers))
+    alarms = alarms.reshape((receivers, alarms.shape[0] // receivers))
+    no_rows = flags_at(entries, NO_ROWS)
+    if score(alarms, no_rows, rules, step_count, *progress, largest, *written):
         return HOLDS
-    settle(
-        rules,
-        detected,
-        ended,
-        undetected,
-        flags_at(entries, NO_ROWS),
-        flags_at(entries, WARMUP),
-        flags_at(entries, IS_COASTING),
-        epochs,
-        values,
-        marks,
-        lo,
-        hi,
-    )
+    known = flags_at(entries, WARMUP), flags_at(entries, IS_COASTING), epochs
+    settle(rules, *progress, no_rows, *known, *written)
     if seen.shape[0] > 0:
         width, tabled = seen.shape[0] // receivers, singles_at(entries, OBSERVED)
         observe(

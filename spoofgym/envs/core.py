@@ -17,6 +17,7 @@ from ..simulation.engine import Engine
 from ..simulation.monitors import EpochLog, PassiveDetectors, needed_monitors
 from ..simulation.setup import Setup
 from ..simulation.simulator import FixedChoices, Rngs, Rows, run_serially
+from ..spoofers.base import KNOWLEDGE
 from ._kernels import ALARM, COST, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
 from .context import bind_base
 from .observer import Observer
@@ -35,7 +36,7 @@ from .scoring import (
 )
 from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
 from .terms.action import CommandMap, Decisions, default_action
-from .terms.observation import KNOWLEDGE, Snapshot, default_terms
+from .terms.observation import Snapshot, default_terms
 from .terms.reward import Outcome, compute_shares, default_rewards, named_terms, sum_terms
 from .terms.termination import AtAlarm, Ends, EpochState
 

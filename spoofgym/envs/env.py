@@ -234,11 +234,9 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         `spoofgym.simulation.domain.CHOICES`. Returns `observation` (B, o) float32."""
         warn_unknown(options, ("domain", RESET_MASK))
         mask = read_mask(options, self.num_envs)
-        if mask is None:
-            mask = self._all.copy()
-        elif not self._rngs and not mask.all():
+        if not self._rngs and not mask.all():
             raise ValueError("the first reset must be that of all receivers")
-        elif self._halfway and not mask.all():
+        if self._halfway and not mask.all():
             raise ValueError("the reset after an interrupted step must be that of all receivers")
         seeds = list_seeds(seed, self.num_envs)
         super().reset(seed=seeds[0] if isinstance(seed, int | np.integer) else None)

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from ..simulation.domain import FloatArray
 from ..simulation.engine import Engine
 from ..simulation.setup import Setup
+from ..spoofers.base import LEVELS, REPORTED
 from ._kernels import COMMAND_COLUMN, clip_columns, observe
 from .terms.observation import (
-    LEVELS,
-    REPORTED,
     DynamicTerm,
     ObservationTerm,
     Snapshot,

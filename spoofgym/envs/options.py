@@ -51,10 +51,10 @@ def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -
             )
 
 
-def read_mask(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.bool_] | None:
-    """Which receivers are to be reset: (B,) bool, a copy; None for all of them."""
+def read_mask(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.bool_]:
+    """Which receivers are to be reset, all by default: (B,) bool, a new array."""
     if options is None or RESET_MASK not in options:
-        return None
+        return np.ones(receivers, dtype=np.bool_)
     mask = options[RESET_MASK]
     if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
         said = f"dtype {mask.dtype}" if isinstance(mask, np.ndarray) else repr(mask)
@@ -66,12 +66,6 @@ def read_mask(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.b
     if not mask.any():
         raise ValueError(f"`options['{RESET_MASK}']` must be True for at least one receiver")
     return mask.copy()
-
-
-def read_fresh(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.bool_]:
-    """(B,) bool, which receivers a reset concerns."""
-    mask = read_mask(options, receivers)
-    return np.ones(receivers, dtype=np.bool_) if mask is None else mask
 
 
 def list_seeds(seed: Any, receivers: int) -> list[int | None]:

@@ -22,6 +22,7 @@ from ..spoofers import (
     SpooferContext,
     make_spoofer,
 )
+from ..spoofers.base import REPORTED
 from ..spoofers.build import SpooferSpec, card_behind
 from ..spoofers.learned import LearnedSpoofer, refuse_changes
 from ..spoofers.residual import change_file
@@ -31,7 +32,7 @@ from .factory import VICTIMS, composable, find_environment, list_parameters, mak
 from .observer import Observer
 from .terms import describe_terms, make_terms
 from .terms.action import ActionTerm, CommandMap, default_action
-from .terms.observation import REPORTED, default_terms
+from .terms.observation import default_terms
 
 SETUPS: dict[str, type[Setup]] = {kind.env_id: kind for kind in VICTIMS.values()}
 """Kinds of victims by the environments that have their defaults."""

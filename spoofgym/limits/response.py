@@ -24,8 +24,9 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..detectors import Calibrated, Detector, PooledDetector, SolutionSeparation, Verdict
+from ..detectors import Detector, PooledDetector, SolutionSeparation, Verdict
 from ..detectors.base import FloatArray, IntArray, check_needs, judge_epoch
+from ..detectors.calibrated import unwrap
 from ..receiver.epoch import ALWAYS, Epoch
 from ..simulation._kernels import turn
 from ..simulation.engine import available_threads
@@ -72,12 +73,8 @@ class NotReplayable(ValueError):
     """A detector or an attack whose response is not linear."""
 
 
-def _inner(detector: Detector) -> Detector:
-    return detector.detector if isinstance(detector, Calibrated) else detector
-
-
 def check_replayable(detector: Detector) -> None:
-    inner = _inner(detector)
+    inner = unwrap(detector)
     if isinstance(inner, PooledDetector):
         for member in inner.judges:
             check_replayable(member)
@@ -93,7 +90,7 @@ def _judge(detector: Detector, epoch: Epoch) -> Verdict:
     verdict = judge_epoch(detector, epoch)
     if verdict.weights is not None:
         raise NotReplayable(
-            f"{type(_inner(detector)).__name__} takes weight off measurements, which changes "
+            f"{type(unwrap(detector)).__name__} takes weight off measurements, which changes "
             "the gains of the filter: play it on the engine"
         )
     return verdict
@@ -225,7 +222,7 @@ class Replay:
 
     def sums(self, number: int) -> bool:
         """Whether attacks on a detector are sums of what hat functions do, and not judged."""
-        return isinstance(_inner(self.detectors[number]), SolutionSeparation)
+        return isinstance(unwrap(self.detectors[number]), SolutionSeparation)
 
     def play(
         self, number: int, rates: FloatArray, *, rows: NDArray[np.intp] | None = None
@@ -296,7 +293,7 @@ class Replay:
         judged = self._judge_epochs(number, moved, rows, len(rates))
         stored = []
         for k, (detector, verdict) in enumerate(judged):
-            inner = cast(SolutionSeparation, _inner(detector))
+            inner = cast(SolutionSeparation, unwrap(detector))
             place = np.tile(self._epochs["predicted_position"][k][rows], (len(rates), 1))
             size = np.sqrt(verdict.threshold[:, :, None])
             stored.append((inner.whiten(place) / size).reshape(len(rates), len(rows), -1, 2))

@@ -31,7 +31,17 @@ from ..core.registry import require
 from ..receiver.states import STATES
 from ._kernels import shift_response
 from .monitors import Monitor, Monitored
-from .tight import require_tightly_coupled
+from .tight import TightlyCoupledSimulator
+
+
+def _require_filter(simulator: Monitored) -> TightlyCoupledSimulator:
+    if not isinstance(simulator, TightlyCoupledSimulator):
+        whose = getattr(getattr(simulator, "setup", None), "whose", repr(simulator))
+        raise ValueError(
+            "the divergence of an attack needs the filter of a tightly coupled receiver, which "
+            f"{whose} does not have"
+        )
+    return simulator
 
 
 class Divergence(Monitor):
@@ -41,7 +51,7 @@ class Divergence(Monitor):
     needs: ClassVar = frozenset({"transition", "design", "predicted_cov", "innovation_cov"})
 
     def bind(self, simulator: Monitored) -> None:
-        victims = require_tightly_coupled(simulator, "the divergence of an attack")
+        victims = _require_filter(simulator)
         receivers = victims.receivers
         require(
             victims.setup.receiver.tuning != "augmented",
@@ -51,7 +61,7 @@ class Divergence(Monitor):
         self.memory.declare_all(divergence=np.zeros(receivers), shift=np.zeros((receivers, STATES)))
 
     def update(self, simulator: Monitored) -> None:
-        victims = require_tightly_coupled(simulator, "the divergence of an attack")
+        victims = _require_filter(simulator)
         epoch, verdict, sensors = victims.epoch, victims.verdict, victims.sensors
         weights = victims.ones if verdict is None or verdict.weights is None else verdict.weights
         model = epoch.transition, epoch.design, epoch.predicted_cov, epoch.innovation_cov

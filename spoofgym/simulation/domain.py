@@ -26,7 +26,7 @@ from ..receiver.matching import (
 )
 from ..receiver.tight import NoiseModel
 from ..truth.events import BenignEvents
-from ..truth.gnss_errors import ERRORS, RENAMED, GnssErrors
+from ..truth.gnss_errors import ERRORS, GnssErrors
 from ..truth.run import GroundTruth
 from ..truth.satellites import CircularConstellation
 from ..truth.scenario import TURN_ON, Scenario
@@ -128,7 +128,7 @@ class Domain:
                 raise ValueError(f"`{name}` must be a name or a list of names, got {given!r}")
             given = tuple(given)
             for each in given:
-                check_choice("imu grade" if name == "imu" else name, each, valid, RENAMED)
+                check_choice("imu grade" if name == "imu" else name, each, valid)
             object.__setattr__(self, name, given)
         require(
             self.worlds in (None, 1) or self.varies,
@@ -530,14 +530,10 @@ class Combinations:
     def first_C_eb(self, grade: NDArray[np.int64], epochs: NDArray[np.int64]) -> FloatArray:
         """(b, 3, 3) attitudes, to ECEF from body axes, with which receivers start at `epochs`, with
         the first error of their grades."""
-        errors = np.array([_first_turn(each) for each in self._grades])[grade]
+        turns = [euler_to_dcm(*(-np.radians(each.attitude_error_deg))) for each in self._grades]
+        errors = np.array(turns)[grade]
         world = self.world.at_hand
         C_en, C_eb = world.C_en[epochs], world.C_eb[epochs]
         # the error turns the local axes: C_nb (estimated) = dC C_nb
         C_ne = np.ascontiguousarray(C_en.transpose(0, 2, 1))
         return np.asarray(C_en @ (errors.transpose(0, 2, 1) @ (C_ne @ C_eb)))
-
-
-def _first_turn(grade: ImuGrade) -> FloatArray:
-    """(3, 3) error of the local axes with which a receiver of this grade starts."""
-    return euler_to_dcm(*(-np.radians(grade.attitude_error_deg)))

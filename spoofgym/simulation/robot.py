@@ -20,7 +20,6 @@ from ..core.registry import build_record, require
 from ..core.settings import describe
 from ..detectors import Detector, DetectorContext
 from ..receiver.credible import AXES, CredibleBatch, CredibleFilter
-from ..receiver.epoch import Epoch
 from ..truth._kernels import measure_fix, measure_odometry
 from ..truth.noise import BLOCK
 from ..truth.robot import (
@@ -244,9 +243,6 @@ class WheeledRobotSimulator(RateSimulator):
     def _measure(self, command: FloatArray | None) -> None:
         super()._measure(command)
         self.epoch = self.filters.predict(self.time_s(), self.increment, self.memory["fix"])
-
-    def _form_epoch(self) -> Epoch:
-        return self.epoch
 
     def _correct(self, weights: FloatArray | None) -> None:
         self.filters.update(weights)

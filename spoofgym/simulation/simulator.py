@@ -183,9 +183,9 @@ class Simulator(ABC):
     def _measure(self, command: FloatArray | None) -> None:
         """Go on by one epoch: move the counterfeit, measure, predict."""
 
-    @abstractmethod
     def _form_epoch(self) -> Epoch:
         """What a detector may see of the epoch: of the optional fields those in `fields`."""
+        return self.epoch
 
     @abstractmethod
     def _correct(self, weights: FloatArray | None) -> None:

@@ -440,9 +440,6 @@ class TightlyCoupledSimulator(Simulator):
         self._first_half(ADVANCE + SHOW, command, True, self._compiled_attack())
         self._augment()
 
-    def _form_epoch(self) -> Epoch:
-        return self.epoch
-
     def _augment(self) -> None:
         if self.augmented is None:
             return
@@ -698,13 +695,3 @@ class TightlyCoupledSimulator(Simulator):
     def get_record_columns(self) -> dict[str, NDArray[Any]]:
         offsets = self.sensors
         return {"range_offset_m": offsets.range_offset, "rate_offset_mps": offsets.rate_offset}
-
-
-def require_tightly_coupled(simulator: object, word: str) -> TightlyCoupledSimulator:
-    """The same, where it is of tightly coupled receivers; a ValueError that names what needs it."""
-    if not isinstance(simulator, TightlyCoupledSimulator):
-        whose = getattr(getattr(simulator, "setup", None), "whose", repr(simulator))
-        raise ValueError(
-            f"{word} needs the filter of a tightly coupled receiver, which {whose} does not have"
-        )
-    return simulator

@@ -3,10 +3,9 @@
 from ..policies.onnx_file import SUFFIX
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
 from .build import SPOOFERS, make_spoofer
-from .curves import ActionCurves
 from .feedback import Feedback, FeedbackProfile, ThresholdRider
 from .learned import OnnxPolicy
-from .profile import OpenLoop, Profile
+from .profile import ActionCurves, OpenLoop, Profile
 from .ramps import AcceleratingRamp, Dash, Intermittent, NoSpoofer, Ramp, Step
 from .scaled import Scaled
 

@@ -14,14 +14,9 @@ from ..core.declared import setting, settings_record
 from ..policies.contract import Policy
 
 FloatArray = NDArray[np.float64]
-KNOWLEDGE = (
-    "blind",
-    "tracking",
-    "oracle",
-    "blind+reported",
-    "tracking+reported",
-    "oracle+reported",
-)
+LEVELS = ("blind", "tracking", "oracle")
+REPORTED = "reported"
+KNOWLEDGE = (*LEVELS, *(f"{level}+{REPORTED}" for level in LEVELS))
 AXES = ("north", "east", "down", "clock")
 """Axes by which the actions of a false position are named; a heading leaves the last two alone."""
 TARGET = "target"  # heading that follows the target direction

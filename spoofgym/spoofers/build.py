@@ -12,10 +12,9 @@ from ..policies.card import SPOOFER, SpooferCard
 from ..policies.onnx_file import SUFFIX
 from ..policies.zoo import list_shipped, load_card
 from .base import Spoofer
-from .curves import ActionCurves
 from .feedback import Feedback, FeedbackProfile, ThresholdRider
 from .learned import OnnxPolicy
-from .profile import OpenLoop, Profile
+from .profile import ActionCurves, OpenLoop, Profile
 from .ramps import AcceleratingRamp, Dash, Intermittent, NoSpoofer, Ramp, Step
 from .scaled import AMPLITUDE, Scaled, split_amplitude
 

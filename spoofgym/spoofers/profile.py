@@ -1,4 +1,4 @@
-r"""A curve of the rate that was drawn before the attack: what a blind spoofer can plan at best.
+r"""Curves drawn before the attack, of the rate or of an action: what a blind spoofer plans at best.
 
 The rates at the knots are joined by a shape-preserving cubic (`fritsch1980`), which never leaves
 the range of two neighbouring knots and has no overshoot.
@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.declared import setting, settings_record
-from .base import FloatArray, HeadingCommand, ScriptedSpoofer, SpooferContext, has_heading
+from ..core.registry import require
+from .base import (
+    FloatArray,
+    HeadingCommand,
+    ScriptedSpoofer,
+    Spoofer,
+    SpooferContext,
+    has_heading,
+)
 
 FEWEST_KNOTS, MOST_KNOTS = 2, 64
 
@@ -167,3 +175,57 @@ def check_knots(name: str, rates_mps: tuple[float, ...]) -> None:
     if rates_mps and not FEWEST_KNOTS <= len(rates_mps) <= MOST_KNOTS:
         valid = f"{FEWEST_KNOTS} to {MOST_KNOTS} rates"
         raise ValueError(f"`{name}` must have {valid}, got {len(rates_mps)}")
+
+
+@settings_record(kw_only=True)
+class ActionCurves(Spoofer):
+    r"""Plays a curve of every element of the action over the attack window, whatever happens.
+
+    With values :math:`x_i` at n equally spaced knots, :math:`t_0 = 0` at the onset and
+    :math:`t_{n-1} = T` at the end of the window, an element at the time t is on the straight line
+    between two of them.  An action of 1 requests what the environment says it does, so that the
+    curves belong to its `control`, `basis` and scales.
+    """
+
+    described_as = "ActionCurves"
+    knowledge = "blind"
+    curves: tuple[tuple[float, ...], ...] = setting(
+        default=((0.0, 0.1),),
+        help="Values (a, n) at the knots, in units of the action, by its elements in their order; "
+        "elements after the last one stay 0.",
+    )
+    label: str | None = setting(default="action-curves", help="Short name in results.")
+    designed_on: str = setting(
+        default="nothing", help="What the curves were optimised on; or nothing."
+    )
+
+    def __post_init__(self) -> None:
+        self.curves = tuple(tuple(float(x) for x in each) for each in self.curves)
+        sizes = {len(each) for each in self.curves}
+        require(
+            len(sizes) == 1 and min(sizes) >= FEWEST_KNOTS and bool(np.isfinite(self.curves).all()),
+            f"`curves` must be rows of the same number of finite values, {FEWEST_KNOTS} or more, "
+            f"got {self.curves!r}",
+        )
+
+    def bind(self, context: SpooferContext) -> None:
+        super().bind(context)
+        elements = len(context.action_names)
+        require(
+            len(self.curves) <= elements,
+            f"`curves` has {len(self.curves)} rows, and an action of this environment {elements} "
+            f"elements: {', '.join(context.action_names)}",
+        )
+        knots = np.linspace(0.0, 1.0, len(self.curves[0]))
+        ends = np.arange(1, context.steps + 1) / context.steps
+        self._actions = np.zeros((context.steps, elements))
+        for k, curve in enumerate(self.curves):
+            self._actions[:, k] = np.interp(ends, knots, curve)
+        self.memory.declare("step", np.zeros(context.receivers, dtype=np.int64))
+
+    def act(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Command the coming interval: (B, a) in [-1, 1]."""
+        step = self.memory["step"]
+        action = self._actions[np.minimum(step, len(self._actions) - 1)]
+        step += 1
+        return np.asarray(np.clip(action, -1.0, 1.0))

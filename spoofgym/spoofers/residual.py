@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..policies.card import SpooferCard
 from .base import TARGET_NAMES, FloatArray, ScriptedSpoofer, Spoofer, SpooferContext
-from .curves import ActionCurves
+from .profile import ActionCurves
 from .scaled import Scaled
 
 SHARE = 0.4

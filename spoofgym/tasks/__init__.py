@@ -6,6 +6,8 @@ ones, T1 to T6 and v1/D1 to v1/D4, which stay playable; what was wrong with them
 
 from __future__ import annotations
 
+from typing import Any
+
 from ..core.registry import check_choice
 from . import v1, v2
 from .base import (
@@ -22,7 +24,6 @@ from .base import (
     DetectorTask,
     Task,
 )
-from .papers import PAPERS
 
 __all__ = [
     "ALARM_PRICE",
@@ -52,6 +53,41 @@ TASKS: dict[str, Task] = {**v2.TASKS, **v1.TASKS}
 """Tasks for spoofers by their keys, those of the youngest suite first."""
 DETECTOR_TASKS: dict[str, DetectorTask] = {**v2.DETECTOR_TASKS, **v1.DETECTOR_TASKS}
 """Tasks for detectors by their keys, those of the youngest suite first."""
+
+NOMINAL = {"thresholds": "nominal"}  # thresholds of the papers, as their own environments have them
+PAPERS: dict[str, tuple[str, dict[str, Any]]] = {
+    "ke2022": (
+        "spoofgym/Zhong2025-v0",
+        {
+            "scenario": "ke2022",
+            "attack": "paper-ideal",
+            "detector": {"name": "innovation-rate", **NOMINAL},
+            "timeline": {"warmup_s": 350.0, "live_s": 150.0, "attack_s": 200.0},
+        },
+    ),
+    "shadmehri2025": (
+        "spoofgym/LooselyCoupled-v0",
+        {
+            "detector": {
+                "name": "windowed-chi2",
+                "window": 1,
+                "covariance": "estimated",
+                "covariance_window": 100,
+                **NOMINAL,
+            }
+        },
+    ),
+    "song2021": (
+        "spoofgym/WheeledRobot-v0",
+        {"detector": {"name": "acna", "variant": "production", **NOMINAL}},
+    ),
+    "wu2024": ("spoofgym/Snapshot-v0", {"detector": {"name": "srv-raim", **NOMINAL}}),
+    "zhong2025": (
+        "spoofgym/Zhong2025-v0",
+        {"scenario": "zhong2025", "attack": "paper-ideal", "detector": {**v1.EWMA, **NOMINAL}},
+    ),
+}
+"""Environments of the papers' scenarios: id and keyword arguments, by the keys of the papers."""
 
 
 def get_task(key: str) -> Task:

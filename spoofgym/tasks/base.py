@@ -13,11 +13,6 @@ ALARM_PRICE = 1.5
 BUDGET = 0.05  # largest P(alarm | silent twin) of a spoofer that scores
 
 
-def name_suite(version: int) -> str:
-    """Name of the tasks of a version together; a change of any of them makes another one."""
-    return f"spoofgym-bench-v{version}"
-
-
 def name_environment(key: str, version: int) -> str:
     """Id of a task's environment; the key of an older version's task is ``v1/D1`` or the like."""
     return f"spoofgym/Bench{key.rpartition('/')[2]}-v{version}"
@@ -54,7 +49,8 @@ class Task:
 
     @property
     def suite(self) -> str:
-        return name_suite(self.version)
+        """Name of the tasks of a version together; a change of any of them makes another one."""
+        return f"spoofgym-bench-v{self.version}"
 
     @property
     def env_id(self) -> str:

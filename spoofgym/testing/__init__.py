@@ -4,10 +4,9 @@ They run an object through what its contract promises, and raise an AssertionErr
 was expected, what came instead, and how to mend it.
 """
 
-from .ages import check_ages
+from .ages import check_ages, check_stationary
 from .attack import check_attack
 from .detector import check_detector
 from .spoofer import check_spoofer
-from .stationary import check_stationary
 
 __all__ = ["check_ages", "check_attack", "check_detector", "check_spoofer", "check_stationary"]

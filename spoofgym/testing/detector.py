@@ -16,7 +16,7 @@ from ..detectors.base import UndeclaredFieldError, check_needs, check_verdict, d
 from ..detectors.build import bare_detector
 from ..policies.card import DetectorCard
 from ..receiver.epoch import Epoch, TracedEpoch
-from .ages import can_fly, check_ages
+from .ages import can_fly, check_ages, check_stationary
 from .contract import (
     ContractTrial,
     Record,
@@ -28,9 +28,15 @@ from .contract import (
     run_trial,
     same_bits,
 )
-from .epochs import CHANNELS, COORDINATES, Script, engine_script, position_script, trying_script
-from .stationary import check_stationary
-from .steady import SteadyEpochs
+from .epochs import (
+    CHANNELS,
+    COORDINATES,
+    Script,
+    SteadyEpochs,
+    engine_script,
+    position_script,
+    trying_script,
+)
 
 WINDOW_EPOCHS = 120
 """Longest window that is looked for; at 0.5 s an epoch."""

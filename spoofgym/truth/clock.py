@@ -12,12 +12,7 @@ from ..earth.wgs84 import SPEED_OF_LIGHT
 
 @settings_record(frozen=True, kw_only=True)
 class ReceiverClock:
-    """Two-state clock in units of range.
-
-    Notes
-    -----
-    Groves (2013), section 9.4.2.
-    """
+    """Two-state clock in units of range; Groves (2013), section 9.4.2."""
 
     described_as = "ReceiverClock"
     offset_m: float = setting(default=10_000.0, unit="m", help="Offset at the start.")
@@ -36,9 +31,6 @@ def clock_of_allan(h0: float, h_2: float) -> ReceiverClock:
     .. math:: S_p = \tfrac12 c^2 h_0, \qquad S_f = 2 \pi^2 c^2 h_{-2}
 
     `h0`: white frequency noise [s]; `h_2`: random walk of the frequency [1/s].
-
-    Notes
-    -----
     Brown and Hwang (2012), section 9.3, `brownhwang2012`; the flicker noise is left out.
     """
     c2 = SPEED_OF_LIGHT**2
@@ -64,11 +56,7 @@ def advance_clock(
         S_f \tau^2 / 2 & S_f \tau \end{pmatrix}
 
     `bias`, `drift`: before the interval [m], [m/s]; `tau`: its length [s]; `phase_psd`,
-    `frequency_psd`: S_p [m^2/s] and S_f [m^2/s^3].
-
-    Notes
-    -----
-    Groves (2013), eq. 9.151.
+    `frequency_psd`: S_p [m^2/s] and S_f [m^2/s^3]. Groves (2013), eq. 9.151.
     """
     frequency = sqrt(frequency_psd * tau) * a
     own = sqrt(phase_psd * tau + frequency_psd * tau * tau * tau * (1.0 / 12.0)) * b

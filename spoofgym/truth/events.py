@@ -38,8 +38,6 @@ class BenignEvents:
     it the delay grows by its slope times its speed, over its width; codes are delayed and carriers
     advanced.
 
-    Notes
-    -----
     Fronts as `dattabarua2010` describes them, whose steepest had 425 mm/km; the default slopes are
     those of a mild one.  The other ranges have no source: they are a choice.
     """

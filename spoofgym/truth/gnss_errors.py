@@ -36,9 +36,6 @@ class GnssErrors:
     What wanders in the code is multipath and delay, to which the carrier is nearly immune.  A
     receiver takes range rates from the carrier, so that the derivative of the code error, which
     would not even be finite, is no part of them: their error is white noise of its own.
-
-    Notes
-    -----
     Groves (2013), section 9.3, as its software simulates it.
     """
 
@@ -155,8 +152,6 @@ ERRORS: dict[str, GnssErrors] = {
   is the carrier's.
 """
 
-RENAMED = {"realistic": "trolley"}  # errors, and what scenarios begin with, by their old names
-
 
 @settings_record(frozen=True, kw_only=True)
 class PositionErrors:
@@ -165,8 +160,6 @@ class PositionErrors:
     .. math:: e_k = \beta e_{k-1} + \sigma \sqrt{1 - \beta^2} \, n_k, \qquad
         e_0 = \sigma n_0, \qquad n_k \sim N(0, 1)
 
-    Notes
-    -----
     The defaults are those of the receiver model that `shadmehri2025` names, 1.6 m, 3 m and 0.999 at
     each sample; the paper does not say whether it changed them.
     """
@@ -195,11 +188,5 @@ class PositionErrors:
 
 @inline_njit
 def gauss_markov_step(error: float, decay: float, sd: float, deviate: float) -> float:
-    r"""Next error of one axis.
-
-    .. math:: e_k = \beta e_{k-1} + \sigma \sqrt{1 - \beta^2} \, n_k
-
-    `error`: last error [m]; `sd`: standard deviation sigma, the same at all epochs [m]; returns the
-    error [m].
-    """
+    """Next error of one axis [m] by the last one, as of `PositionErrors`; `sd` is sigma [m]."""
     return decay * error + sd * math.sqrt(1.0 - decay * decay) * deviate

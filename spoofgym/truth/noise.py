@@ -113,11 +113,7 @@ def normal_pair(word: np.uint64) -> tuple[float, float]:
 
     .. math:: \sqrt{-2 \ln u} \, (\cos 2\pi v, \sin 2\pi v)
 
-    with u and v uniform on the middles of 2^32 intervals of (0, 1).
-
-    Notes
-    -----
-    Box and Muller (1958).
+    with u and v uniform on the middles of 2^32 intervals of (0, 1): Box and Muller (1958).
     """
     x, y = word & np.uint64(0xFFFFFFFF), word >> np.uint64(32)
     radius = sqrt(-2.0 * natural_log((to_float(x) + 0.5) * 2.0**-32))

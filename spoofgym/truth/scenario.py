@@ -12,7 +12,7 @@ from ..core.declared import setting, settings_record
 from ..core.registry import build_record, check_choice, require
 from .events import BenignEvents
 from .flight import Flight, Headings
-from .gnss_errors import ERRORS, RENAMED, GnssErrors
+from .gnss_errors import ERRORS, GnssErrors
 from .manoeuvres import FLIGHTS
 from .run import (
     CHANNELS,
@@ -127,9 +127,9 @@ class Scenario:
         if isinstance(self.flight, str):
             check_choice("flight", self.flight, FLIGHTS)
         if isinstance(self.errors, str):
-            check_choice("errors", self.errors, ERRORS, RENAMED)
+            check_choice("errors", self.errors, ERRORS)
         if isinstance(self.assumed, str):
-            check_choice("assumed errors", self.assumed, ERRORS, RENAMED)
+            check_choice("assumed errors", self.assumed, ERRORS)
         check_choice("imu grade", self.imu, IMU_GRADES)
         if isinstance(self.events, Mapping):
             object.__setattr__(self, "events", build_record("events", BenignEvents, self.events))
@@ -237,13 +237,6 @@ biases of its errors and without; and an approach with tactical sensors whose co
 under errors of airborne signals: in `aviation-actual` they are what happens, in
 `aviation-overbound` what a receiver has to assume, which the matched one does in both."""
 
-_RENAMED = {
-    old + new.removeprefix(prefix): new
-    for old, prefix in RENAMED.items()
-    for new in SCENARIOS
-    if new.startswith(prefix)
-}
-
 
 def make_scenario(spec: str | Mapping[str, Any] | Scenario) -> Scenario:
     """Scenario by name, or by name with some settings replaced.
@@ -265,7 +258,7 @@ def make_scenario(spec: str | Mapping[str, Any] | Scenario) -> Scenario:
         )
     settings = dict(spec)
     name = settings.pop("name", "zhong2025")
-    check_choice("scenario", name, SCENARIOS, _RENAMED)
+    check_choice("scenario", name, SCENARIOS)
     valid = [item.name for item in fields(Scenario) if item.name != "name"]
     for key in settings:
         require(key in valid, f"a scenario has no setting {key!r}; valid: {', '.join(valid)}")

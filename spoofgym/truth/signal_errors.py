@@ -56,8 +56,6 @@ class SignalErrors:
 
     .. math:: \sigma_m = a_m + b_m e^{-E / 10^\circ}, \qquad \sigma_n = a_n + b_n e^{-E / 6.9^\circ}
 
-    Notes
-    -----
     Obliquities and multipath: `do-229`, A.4.4.10.4, A.4.2.4 and J.2.4.
     """
 

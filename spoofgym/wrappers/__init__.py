@@ -4,8 +4,7 @@
 """
 
 from .alarms import AlarmRecorder, AlarmSummary
-from .check import check_wrapper
-from .evaluate import AttackOutcome, WrappedScore, evaluate_wrapped
+from .evaluate import AttackOutcome, WrappedScore, check_wrapper, evaluate_wrapped
 from .single import (
     DetectorWrapper,
     EpochInfo,

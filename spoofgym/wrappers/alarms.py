@@ -11,13 +11,12 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import ArrayLike, NDArray
 
 from ..bench.scores.statistics import Estimate, bootstrap_mean, draw_resamples, interval, wilson
 from ..detectors.calibration_file import hourly_rate
 from ..envs.factory import composable
-from .single import require_single
+from .single import SingleWrapper
 
 Observation = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -71,7 +70,7 @@ class AlarmLog:
                 "take them: make the environment with warm_pool=0"
             )
         setup, self._past = core.setup, list[tuple[float, ...]]()
-        self._repeat, self._hold, self._steps = setup.repeat, setup.hold, setup.steps
+        self._repeat, self._hold = setup.repeat, setup.hold
         self._interval_s, self._start_s = setup.interval_s, setup.live * setup.interval_s
         self._begun = [(0.0, False)] * core.receivers
         self._moved: list[list[float]] = [[] for _ in self._begun]
@@ -141,9 +140,7 @@ def _read_alarm(info: dict[str, Any]) -> bool:
     return bool(alarm)
 
 
-class AlarmRecorder(
-    gym.Wrapper[Observation, Observation, Observation, Observation], RecordConstructorArgs
-):
+class AlarmRecorder(SingleWrapper):
     """Records the alarms of whatever detector there is below, over episodes.
 
     It reads ``alarm``, ``time_s`` and ``displacement_m`` in the information, and the actions.
@@ -161,9 +158,7 @@ class AlarmRecorder(
     """
 
     def __init__(self, env: gym.Env[Observation, Observation]) -> None:
-        RecordConstructorArgs.__init__(self)
-        require_single(env, AlarmRecorder)
-        gym.Wrapper.__init__(self, env)
+        super().__init__(env)
         self.alarms = AlarmLog(env)
 
     def reset(

@@ -129,10 +129,15 @@ def _as_parquet(columns: dict[str, list[Array]], head: dict[str, Any]) -> bytes:
     return buffer.getvalue()
 
 
-def require_single(env: Any, wrapper: type) -> None:
-    """Name the twin of a wrapper where the environment is a vector of receivers."""
-    if not isinstance(env, gym.Env):
-        raise TypeError(f"`env` must be a single environment, got {env!r}{name_twin(env, wrapper)}")
+class SingleWrapper(_Base, RecordConstructorArgs):
+    """Base of the wrappers of a single environment, whose other arguments a spec names."""
+
+    def __init__(self, env: Env, **given: Any) -> None:
+        RecordConstructorArgs.__init__(self, **given)
+        if not isinstance(env, gym.Env):
+            twin = name_twin(env, type(self))
+            raise TypeError(f"`env` must be a single environment, got {env!r}{twin}")
+        gym.Wrapper.__init__(self, env)
 
 
 def name_twin(env: Any, wrapper: type) -> str:
@@ -144,7 +149,7 @@ def name_twin(env: Any, wrapper: type) -> str:
     return f"; its twin for that is `spoofgym.{found[0]}.{wrapper.__name__}`" if found else ""
 
 
-class DetectorWrapper(_Base, RecordConstructorArgs):
+class DetectorWrapper(SingleWrapper):
     """Sets the detector in the loop, as the argument ``detector=`` does.
 
     It takes the place of the detector that the environment's id brings.  `wrappers.vector` has the
@@ -184,22 +189,13 @@ class DetectorWrapper(_Base, RecordConstructorArgs):
     def __init__(
         self, env: Env, detector: DetectorSpec, *, false_alarms_per_hour: float | None = None
     ) -> None:
-        RecordConstructorArgs.__init__(
-            self, detector=detector, false_alarms_per_hour=false_alarms_per_hour
-        )
-        require_single(env, DetectorWrapper)
-        gym.Wrapper.__init__(self, env)
+        super().__init__(env, detector=detector, false_alarms_per_hour=false_alarms_per_hour)
         compose(env, detector=detector, false_alarms_per_hour=false_alarms_per_hour)
         setup = composable(env).core.setup
         warn_uncalibrated(detector, setup.detector, false_alarms_per_hour, setup)
 
 
-def first_values(arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """Values of the one receiver of a single environment."""
-    return {name: array.item() for name, array in arrays.items()}
-
-
-class EpochInfo(_Base, RecordConstructorArgs):
+class EpochInfo(SingleWrapper):
     """Adds ``info["epochs"]``, as the argument ``epoch=`` does.
 
     All epochs since the last call in order, `Epoch` of one receiver each: after a reset those of
@@ -215,13 +211,11 @@ class EpochInfo(_Base, RecordConstructorArgs):
     """
 
     def __init__(self, env: Env, epoch: EpochSpec = True) -> None:
-        RecordConstructorArgs.__init__(self, epoch=epoch)
-        require_single(env, EpochInfo)
-        gym.Wrapper.__init__(self, env)
+        super().__init__(env, epoch=epoch)
         compose(env, epoch=epoch)
 
 
-class PassiveDetector(_Base, RecordConstructorArgs):
+class PassiveDetector(SingleWrapper):
     """Lets a detector judge from outside of the loop, with the verdicts that it has within.
 
     The information has, of all epochs since the last call, ``alarm``, ``alarm_time_s`` of the first
@@ -264,9 +258,7 @@ class PassiveDetector(_Base, RecordConstructorArgs):
         end: bool = True,
     ) -> None:
         rate = false_alarms_per_hour
-        RecordConstructorArgs.__init__(self, detector=detector, false_alarms_per_hour=rate, end=end)
-        require_single(env, PassiveDetector)
-        gym.Wrapper.__init__(self, env)
+        super().__init__(env, detector=detector, false_alarms_per_hour=rate, end=end)
         self.judge, self.end = OutsideDetector(env, detector, rate), end
 
     def reset(
@@ -286,10 +278,11 @@ class PassiveDetector(_Base, RecordConstructorArgs):
         epochs: dict[str, Any] = {
             name: [info[name]] for name in ("epochs", "settling_epochs") if name in info
         }
-        return first_values(self.judge.judge(epochs, np.array([fresh])))
+        found = self.judge.judge(epochs, np.array([fresh]))
+        return {name: array.item() for name, array in found.items()}
 
 
-class ResidualAction(_Base, RecordConstructorArgs):
+class ResidualAction(SingleWrapper):
     r"""Makes actions corrections of an attack that a spoofer plays, as the term `Residual` does.
 
     .. math:: a = \mathrm{clip}(a_{base} + s\, c, -1, 1)
@@ -325,13 +318,11 @@ class ResidualAction(_Base, RecordConstructorArgs):
     """
 
     def __init__(self, env: Env, spoofer: SpooferSpec, scale: float | None = None) -> None:
-        RecordConstructorArgs.__init__(self, spoofer=spoofer, scale=scale)
-        require_single(env, ResidualAction)
-        gym.Wrapper.__init__(self, env)
+        super().__init__(env, spoofer=spoofer, scale=scale)
         compose(env, base=spoofer, scale=scale)
 
 
-class WatchWrapper(_Base, RecordConstructorArgs):
+class WatchWrapper(SingleWrapper):
     """Adds passive detectors, as the argument ``watch=`` does.
 
     Parameters
@@ -343,13 +334,11 @@ class WatchWrapper(_Base, RecordConstructorArgs):
     """
 
     def __init__(self, env: Env, watch: WatchSpec) -> None:
-        RecordConstructorArgs.__init__(self, watch=watch)
-        require_single(env, WatchWrapper)
-        gym.Wrapper.__init__(self, env)
+        super().__init__(env, watch=watch)
         compose(env, watch=watch)
 
 
-class StealthBudget(_Base, RecordConstructorArgs):
+class StealthBudget(SingleWrapper):
     """Ends an episode where the attack has spent its divergence; the end term `AtStealthBudget`.
 
     Parameters
@@ -361,13 +350,11 @@ class StealthBudget(_Base, RecordConstructorArgs):
     """
 
     def __init__(self, env: Env, budget_nats: float) -> None:
-        RecordConstructorArgs.__init__(self, budget_nats=budget_nats)
-        require_single(env, StealthBudget)
-        gym.Wrapper.__init__(self, env)
+        super().__init__(env, budget_nats=budget_nats)
         compose(env, end=AtStealthBudget(budget_nats))
 
 
-class RecordEpochs(_Base, RecordConstructorArgs):
+class RecordEpochs(SingleWrapper):
     """Writes every epoch of the commands into Parquet files, one an episode.
 
     Parameters
@@ -379,9 +366,7 @@ class RecordEpochs(_Base, RecordConstructorArgs):
     """
 
     def __init__(self, env: Env, folder: str | Path) -> None:
-        RecordConstructorArgs.__init__(self, folder=str(folder))
-        require_single(env, RecordEpochs)
-        gym.Wrapper.__init__(self, env)
+        super().__init__(env, folder=str(folder))
         self.recorder = EpochRecorder(folder, 1)
         composable(env).core.listeners.append(self.recorder)
 

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from ..detectors.build import DetectorSpec
 from ..envs.core import EpochSpec, WatchSpec
 from ..envs.factory import composable, compose
-from ..envs.options import Array, read_fresh
+from ..envs.options import Array, read_mask
 from ..envs.terms.termination import AtStealthBudget
 from ..spoofers.build import SpooferSpec
 from .alarms import AlarmLog
@@ -45,7 +45,7 @@ class Wrapper(_Base):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        fresh = read_fresh(options, self.num_envs)
+        fresh = read_mask(options, self.num_envs)
         observation, info = super().reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._start(fresh, info)
         return observation, info

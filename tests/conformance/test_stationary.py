@@ -7,9 +7,8 @@ from spoofgym.detectors import DETECTORS, Detector
 from spoofgym.detectors.base import compare
 from spoofgym.detectors.build import bare_detector
 from spoofgym.testing import check_ages, check_detector, check_stationary
-from spoofgym.testing.ages import can_fly
-from spoofgym.testing.stationary import AGES_S, ATTACKS, RECEIVERS, add_ramp
-from spoofgym.testing.steady import STATE_SD, SteadyEpochs
+from spoofgym.testing.ages import AGES_S, ATTACKS, RECEIVERS, add_ramp, can_fly
+from spoofgym.testing.epochs import STATE_SD, SteadyEpochs
 from tests.nightly import heavy
 
 KNOWN = {

@@ -26,8 +26,6 @@ def test_every_scenario_says_what_it_is(name):
     [
         (lambda: Scenario(flight="zhong2024"), "valid: .*did you mean 'zhong2025'"),
         (lambda: Scenario(errors="none"), "unknown errors 'none'; valid: .*groves, ke2022"),
-        (lambda: Scenario(errors="realistic"), "errors 'realistic' is now called 'trolley'$"),
-        (lambda: make_scenario("realistic"), "scenario 'realistic' is now called 'trolley'$"),
     ],
 )
 def test_unknown_and_old_names_are_told_with_the_valid_ones(make, said):

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spoofgym.core.compile import njit
 from spoofgym.detectors import raim
-from spoofgym.detectors.consistency import SearchData, fit_thresholds, search_data, tabulate_cases
+from spoofgym.detectors.consistency import SearchData, fit_thresholds, search_data
+from spoofgym.receiver.snapshot import tabulate
 
 from .draws import displacements, offsets, subsets
 from .geometry import SATELLITES, sky
@@ -21,6 +23,15 @@ NOISE_M = 4.0
 CONFIDENCE = 0.95
 METHODS = ("srv", "traversal")
 LIMIT = fit_thresholds(NOISE_M, 1.0 - CONFIDENCE, SATELLITES)
+
+
+@njit
+def tabulate_cases(lines: FloatArray, offsets: FloatArray, data: SearchData) -> None:
+    """Prepare the search of many sets of pseudoranges, `offsets` (C, n) y [m], of one geometry that
+    isn't singular, `lines` (n, 3) g."""
+    for c in range(offsets.shape[0]):
+        data.lines[c], data.offsets[c] = lines, offsets[c]
+        tabulate(offsets.shape[1], lines, data.offsets[c], data.table[c])
 
 
 def _srv(data: SearchData) -> None:

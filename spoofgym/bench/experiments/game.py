@@ -25,11 +25,11 @@ from ...core.registry import check_choice, check_keywords, whole_number
 from ...core.settings import compute_digest, outside_sources
 from ...detectors import Detector
 from ...detectors.calibrated import list_factors
-from ...envs.terms.observation import REPORTED
 from ...policies.card import DETECTOR, SPOOFER
 from ...simulation.monitors import PastPositions
 from ...simulation.setup import SPLITS, Setup
 from ...simulation.simulator import weighs
+from ...spoofers.base import REPORTED
 from ...tasks import get_task
 from ..runs.panel import Panel, PanelAttack
 from ..runs.play import FloatArray

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ...core.declared import setting, settings_record
 from ...simulation.domain import FloatArray
 from ...simulation.setup import Setup
+from ...spoofers.base import list_axes
 from ...spoofers.build import make_spoofer, spec_of_spoofer
 from ...spoofers.residual import SUFFIX, BaseAttack, check_base
 from .._kernels import follow_rate
@@ -32,13 +33,8 @@ class ActionTerm(Protocol):
         """(B, a, k): the command is its product with the k elements; (B,) headings in radians."""
 
 
-def command_axes(setup: Setup) -> list[str]:
-    """Axes or satellites that the attack commands, (a,): its names without their unit."""
-    return [name.rsplit("_", 1)[0] for name in setup.action_names]
-
-
 def _columns(setup: Setup, wanted: Sequence[str], word: str) -> list[int]:
-    stems = command_axes(setup)
+    stems = list_axes(setup.action_names)
     for stem in wanted:
         if stem not in stems:
             raise ValueError(
@@ -282,7 +278,7 @@ def default_action(setup: Setup) -> tuple[ActionTerm, ...]:
     along the target direction or, where that is ``"worst"``, north and east; else what the attack
     takes, as it is with offsets."""
     if setup.attack.kind == "offsets" or not (
-        setup.follows_setpoint and {"north", "east"} <= {*command_axes(setup)}
+        setup.follows_setpoint and {"north", "east"} <= {*list_axes(setup.action_names)}
     ):
         return (FullCommand(),)
     return (RateSetpoint(2 if setup.target_heading_deg == "worst" else 1),)

@@ -20,12 +20,8 @@ from ...simulation.domain import FloatArray
 from ...simulation.monitors import HISTORY_EPOCHS, PastPositions, reports
 from ...simulation.setup import Setup
 from ...simulation.simulator import Simulator
+from ...spoofers.base import KNOWLEDGE, LEVELS, REPORTED, list_axes
 from .._kernels import own_command, time_fractions
-from .action import command_axes
-
-LEVELS = ("blind", "tracking", "oracle")
-REPORTED = "reported"
-KNOWLEDGE = (*LEVELS, *(f"{level}+{REPORTED}" for level in LEVELS))
 
 
 class Snapshot(NamedTuple):
@@ -106,7 +102,7 @@ class OwnCommand(_Term):
     limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        axes = command_axes(setup)
+        axes = list_axes(setup.action_names)
         if self.along_target:
             lacking = [axis for axis in ("north", "east") if axis not in axes]
             if lacking:
@@ -120,7 +116,7 @@ class OwnCommand(_Term):
     def factors(self, setup: Setup) -> tuple[float, FloatArray, int, int]:
         """Factors on displacement and on the rate of every axis; columns north and east, where only
         their parts along the target direction are observed, else -1."""
-        axes = command_axes(setup)
+        axes = list_axes(setup.action_names)
         columns = (axes.index("north"), axes.index("east")) if self.along_target else (-1, -1)
         return 1.0 / self.scale_m, np.full(len(axes), 1.0 / self.rate_scale_mps), *columns
 
@@ -146,7 +142,7 @@ class OwnOffsets(_Term):
     def names(self, setup: Setup) -> tuple[str, ...]:
         if setup.attack.kind != "offsets":
             raise ValueError(f"own offsets need the attack 'offsets', got {setup.attack.kind!r}")
-        axes = command_axes(setup)
+        axes = list_axes(setup.action_names)
         masked = axes if self._masks(setup) else []
         channels = range(setup.world.channels if setup.attack.varies else 0)
         return (
