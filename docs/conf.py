@@ -29,6 +29,7 @@ docs/command_line
 docs/glossary
 docs/simulated
 docs/own_data
+docs/logs
 docs/train_your_own
 docs/learned_spoofers
 docs/train_your_own_detector

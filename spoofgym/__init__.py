@@ -30,6 +30,7 @@ cli          the command line: `spoofgym --help`
 
 `spoofgym.audit` says what the worst attack does to any detector, `spoofgym.evaluate` scores any
 spoofer by the rule of the benchmark, and `spoofgym.evaluate_wrapped` a detector that is a wrapper.
+`spoofgym.InnovationLog` holds what the filter of any receiver left of its measurements.
 
 **Frames**
 
@@ -80,6 +81,7 @@ from .tasks import TASKS as _TASKS
 if TYPE_CHECKING:
     from .bench.experiments.audit import audit as audit
     from .bench.experiments.evaluate import evaluate as evaluate
+    from .receiver.log import InnovationLog as InnovationLog
     from .wrappers.evaluate import evaluate_wrapped as evaluate_wrapped
 
 __version__ = "0.1.0.dev0"
@@ -163,7 +165,7 @@ for _detector_task in _DETECTOR_TASKS.values():
 
 
 def __getattr__(name: str) -> Any:
-    """The functions that evaluate, imported on first use: their import is slow."""
+    """What is imported on first use, since its import is slow."""
     if name == "evaluate":
         from .bench.experiments.evaluate import evaluate
 
@@ -176,4 +178,8 @@ def __getattr__(name: str) -> Any:
         from .wrappers.evaluate import evaluate_wrapped
 
         return evaluate_wrapped
+    if name == "InnovationLog":
+        from .receiver.log import InnovationLog
+
+        return InnovationLog
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -15,6 +15,7 @@ from .demo import demo
 from .game import game
 from .limits import limits
 from .list import list_
+from .log import group as log_group
 from .run import run
 from .warmup import warmup
 
@@ -33,3 +34,4 @@ for _command in (
     warmup,
 ):
     app.command()(clear_errors(_command))
+app.add_typer(log_group, name="log")

@@ -1,6 +1,7 @@
 """The victim: receivers that turn samples and ranges into a position."""
 
 from .adaptive import SelfTuning
+from .log import InnovationLog
 from .loose import LooselyCoupled
 from .plausibility import ImplausibleWarning
 from .recording import Recording
@@ -11,6 +12,7 @@ from .tight import NavState, NoiseModel, TightlyCoupled
 __all__ = [
     "Fix",
     "ImplausibleWarning",
+    "InnovationLog",
     "LooselyCoupled",
     "NavState",
     "NoiseModel",

@@ -258,6 +258,7 @@ class Epoch(NamedTuple):
 
 
 OPTIONAL = tuple(Epoch._field_defaults)  # None unless some `needs` names them
+FILTER = ("predicted_cov", "design", "transition", "imu_delta")  # what makes a filter's model
 ALWAYS = frozenset(Epoch._fields).difference(OPTIONAL)  # the others
 
 

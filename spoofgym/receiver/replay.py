@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.registry import require
+from ..core.registry import check_choice, require
 from ..truth.noise import pad_count
 from ..truth.sensors import SensorBuffers
 from . import _kernels
-from .epoch import ReceiverBuffers, kernel_table
+from .epoch import FILTER, ReceiverBuffers, kernel_table
 from .plausibility import ImplausibleWarning, check_recording, explain_flags, flag_epochs
 from .recording import MAY_BE_NAN, Recording
 from .tight import NavState, TightlyCoupled
@@ -44,6 +45,12 @@ class Solution:
         (K,) bool, whether the update was left out for want of satellites.
     innovation : ndarray
         (K, 2n) before the update, pseudoranges first; 0 where absent.
+    innovation_cov : ndarray
+        (K, 2n, 2n) S; row and column of the identity where absent.
+    visible : ndarray
+        (K, n) bool, which channels are measured.
+    filter_fields : mapping
+        Those of `receiver.epoch.FILTER` that were requested, (K, ...) each.
     flag : ndarray
         (K,) str: "" where nothing is wrong; "innovations" where they are far beyond their
         covariance; "sd" where the standard deviations have not fitted for a while; "not finite".
@@ -62,6 +69,9 @@ class Solution:
     sd: NDArray[np.float64]
     coasting: NDArray[np.bool_]
     innovation: NDArray[np.float64]
+    innovation_cov: NDArray[np.float64]
+    visible: NDArray[np.bool_]
+    filter_fields: Mapping[str, NDArray[np.float64]]
     flag: NDArray[np.str_]
     remark: str
 
@@ -81,6 +91,7 @@ def replay(
     *,
     initial: NavState,
     noise_variance: ArrayLike | None = None,
+    fields: Collection[str] = (),
 ) -> Solution:
     """Run a tightly coupled receiver over recorded measurements.
 
@@ -95,6 +106,9 @@ def replay(
     noise_variance : array_like, optional
         (K, 2n) measurement noise variances R [m^2, m^2/s^2], pseudoranges first; those of
         ``receiver.noise_model`` by default.
+    fields : collection of str
+        Which of ``predicted_cov``, ``design``, ``transition`` and ``imu_delta`` are wanted of every
+        epoch, for detectors that need them.
 
     Returns
     -------
@@ -138,6 +152,8 @@ def replay(
     True
     """
     epochs, n = np.shape(recording.pseudorange)
+    for name in fields:
+        check_choice("field of a filter", name, FILTER)
     require(
         receiver.tuning != "augmented",
         "a replay knows no world for a receiver with `tuning` 'augmented'",
@@ -164,7 +180,7 @@ def replay(
     def misfit_with(part: Recording, start: NavState) -> NDArray[np.float64]:
         return _run(part, receiver, start, variance)[1]
 
-    solution, misfit, by_signal = _run(recording, receiver, initial, variance)
+    solution, misfit, by_signal = _run(recording, receiver, initial, variance, fields)
     flag = flag_epochs(misfit)
     remark = ""
     if flag.any():
@@ -185,6 +201,7 @@ def _run(
     receiver: TightlyCoupled,
     initial: NavState,
     variance: NDArray[np.float64],
+    wanted: Collection[str] = (),
 ) -> tuple[dict[str, Any], NDArray[np.float64], NDArray[np.float64]]:
     """Fields of the solution, (K,) mean square of the whitened innovations, -1 without any, and
     (K, 2) those of pseudoranges and range rates alone, by their variances."""
@@ -202,7 +219,8 @@ def _run(
     satellites[1:, :, 6] = visible
     measured = np.where(np.hstack([visible, visible]), np.hstack([range_, rate]), 0.0)
 
-    buffers = ReceiverBuffers(1, n, ["innovation_cov"])
+    shown = {"innovation_cov", *wanted}
+    buffers = ReceiverBuffers(1, n, shown)
     load_initial(buffers, receiver, initial)
     buffers.assumed["noise_psd"] = receiver.noise_psd()
     sensors = SensorBuffers(1, n)
@@ -217,11 +235,14 @@ def _run(
     solutions: list[tuple[NDArray[np.float64], ...]] = []
     misfit, by_signal = np.full(epochs, -1.0), np.zeros((epochs, 2))
     coasting = np.zeros(epochs, dtype=np.bool_)
+    seen: dict[str, list[NDArray[np.float64]]] = {name: [] for name in sorted(shown)}
     fields = buffers.fields
     for k in range(epochs):
         fields["innovation"], buffers.assumed["noise_variance"] = measured[k], variance[k]
         _kernels.run_epoch(*given, _kernels.PREDICT + _kernels.SHOW)
         innovation = buffers.seen["innovation"][0].copy()
+        for name, rows in seen.items():
+            rows.append(buffers.seen[name][0].copy())
         if visible[k].any():
             count = 2 * visible[k].sum()
             S = buffers.seen["innovation_cov"][0]
@@ -244,6 +265,9 @@ def _run(
         "coasting": coasting,
         "sd": sds,
         "innovation": innovations,
+        "innovation_cov": np.array(seen.pop("innovation_cov")),
+        "visible": visible,
+        "filter_fields": {name: np.array(rows) for name, rows in seen.items()},
         **dict(zip(_SOLVED, solved, strict=False)),
     }
     return solution, misfit, by_signal

@@ -67,8 +67,9 @@ def _envs() -> list[dict[str, Any]]:
     import gymnasium
     from gymnasium.envs.registration import load_env_creator
 
-    rows, tasks = [], (*TASKS.items(), *DETECTOR_TASKS.items())
-    titles = {each.env_id: f"task {key}: {each.title}" for key, each in tasks}
+    rows: list[dict[str, Any]] = []
+    titles = {each.env_id: f"task {key}: {each.title}" for key, each in TASKS.items()}
+    titles |= {each.env_id: f"task {key}: {each.title}" for key, each in DETECTOR_TASKS.items()}
     for name, spec in sorted(gymnasium.registry.items()):
         if spec.namespace != "spoofgym":
             continue

@@ -1,0 +1,120 @@
+"""Spoofgym log: innovations of anyone's receiver, checked and judged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument, Option
+
+from . import options as opt
+from .app import clear_errors, print_json, print_lines, print_written
+
+group = typer.Typer(
+    help="Innovations of a receiver's log: do they fit their variances, and what do detectors see?",
+    no_args_is_help=True,
+)
+File = Annotated[
+    Path,
+    Argument(
+        help="Log: a table (.csv, .parquet) with the columns time_s, channel, signal, innovation, "
+        "variance, or matrices (.npz)."
+    ),
+]
+
+
+@group.command("check")
+@clear_errors
+def check_log(log: File, as_json: opt.Json = False) -> None:
+    """Say how innovations fit their variances: mean square, whiteness, constant part, tails."""
+    from ..bench.report.table import Table
+    from ..receiver.log import InnovationLog
+
+    found = InnovationLog.load(log)
+    rows = [each._asdict() for each in found.check_signals()]
+    remarks = found.list_remarks()
+    about = {
+        "epochs": len(found.time),
+        "duration_s": round(found.duration_s, 3),
+        "interval_s": round(found.interval_s, 6),
+        "segments": len(set(found.segment.tolist())),
+        "channels": list(found.channels),
+    }
+    if as_json:
+        print_json({**about, "signals": rows, "remarks": remarks})
+        return
+    print_lines(
+        [
+            f"{about['epochs']} epochs in {about['segments']} segments, {about['duration_s']:g} s, "
+            f"one every {about['interval_s']:g} s, of {len(found.channels)} channels"
+        ]
+    )
+    Table(
+        ("signal", "signal"),
+        ("innovations", "innovations"),
+        ("square over variance", lambda r: f"{r['nis']:.3g} ({r['low']:.3g} to {r['high']:.3g})"),
+        ("factor on the sd", lambda r: f"{r['sd_factor']:.3g}"),
+        ("lag-1 correlation", lambda r: f"{r['lag1']:.2f}"),
+        ("constant part [sd]", lambda r: f"{r['constant']:.2f}"),
+        ("beyond 3 sd [%]", lambda r: f"{100.0 * r['beyond_3']:.2g}"),
+        ("largest [sd]", lambda r: f"{r['largest']:.3g}"),
+    ).print("innovations", rows)
+    print_lines(remarks)
+
+
+@group.command("judge")
+@clear_errors
+def judge_(
+    log: File,
+    detector: Annotated[list[str], Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")],
+    false_alarms_per_hour: Annotated[
+        float | None,
+        Option(
+            help="Take thresholds from this log's own windows, for so many false alarms an hour. "
+            "The log must be clean. Default: the thresholds that a detector has by itself."
+        ),
+    ] = None,
+    window_s: Annotated[float, Option(help="Length of a window, in seconds.")] = 160.0,
+    as_json: opt.Json = False,
+) -> None:
+    """Play detectors over a log: alarms, and the largest ratio of statistic to threshold."""
+    from ..bench.report.table import Table
+    from ..calibration.log import judge_log
+    from ..receiver.log import InnovationLog
+
+    found = InnovationLog.load(log)
+    specs = opt.parse_specs(detector)
+    rows = [
+        {**each.as_json(), "detector": text}
+        for text, each in zip(
+            detector, judge_log(found, specs, false_alarms_per_hour, window_s), strict=True
+        )
+    ]
+    if as_json:
+        print_json(rows)
+        return
+    Table(
+        ("detector", "detector"),
+        ("epochs with alarm", lambda r: f"{r['alarms']} of {r['epochs']}"),
+        ("windows with alarm", lambda r: f"{r['windows_with_alarm']} of {r['windows']}"),
+        ("largest ratio", lambda r: f"{r['largest_ratio']:.3g}"),
+        ("median ratio", lambda r: f"{r['median_ratio']:.3g}"),
+        ("factor on the threshold", lambda r: f"{r['threshold_factor']:.3g}"),
+    ).print(f"windows of {window_s:g} s", rows)
+    if false_alarms_per_hour is None:
+        print_lines(
+            ["Thresholds are those of the detectors; no rate of false alarms is known here."]
+        )
+
+
+@group.command("import")
+@clear_errors
+def import_log(
+    log: File,
+    out: Annotated[Path, Option("--out", "-o", help="File to write, .npz or .csv.")],
+) -> None:
+    """Write a log in the other form: a table as matrices, or matrices as a table."""
+    from ..receiver.log import InnovationLog
+
+    print_written([InnovationLog.load(log).save(out)])

@@ -1,0 +1,433 @@
+"""Logs of innovations: what any filter, of whatever receiver, left of its measurements.
+
+Two forms. A *table* (CSV or Parquet) has a row for each innovation, and can be written from C,
+MATLAB or a spreadsheet: ``time_s, channel, signal, innovation, variance``, and ``segment`` where a
+filter began anew. *Matrices* (``.npz``, without pickled objects) hold the whole covariance S, and
+what else an epoch has.
+
+Channels are satellites, or north, east and down of a receiver that measures its position. Signals
+come in pairs, a length and its rate: ``pseudorange`` and ``range_rate``, ``position`` and
+``velocity``. A log may have one of a pair.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.files import whole_file
+from ..core.registry import check_choice, require
+from .epoch import FILTER, OPTIONAL, Epoch
+
+if TYPE_CHECKING:
+    import pandas
+
+    from .replay import Solution
+
+FloatArray = NDArray[np.float64]
+PAIRS = (("pseudorange", "range_rate"), ("position", "velocity"))
+"""Signals of satellites and of positions, a length [m] and its rate [m/s]."""
+COLUMNS = ("time_s", "channel", "signal", "innovation", "variance")
+MATRICES = ("time", "innovation", "innovation_cov", "channels", "signals")
+"""What a file of matrices must hold; `segment`, `about` and `FILTER` may be there, too."""
+LARGEST_BYTES = 2 * 2**30  # of a file, unpacked
+MOST_CHANNELS = 128
+
+
+class SignalCheck(NamedTuple):
+    """How innovations of one signal fit their variances.
+
+    - `innovations`: how many; `nis` mean square of the innovations over their variances, 1 where
+      they fit, with a 95 % interval (`low`, `high`) from blocks of epochs;
+    - `sd_factor` by which the standard deviations would fit, the root of `nis`;
+    - `lag1` correlation of one epoch with the next; `constant` root mean square of the means of the
+      channels, in standard deviations; `beyond_3` share beyond three of them; `largest` of all.
+    """
+
+    signal: str
+    innovations: int
+    nis: float
+    low: float
+    high: float
+    sd_factor: float
+    lag1: float
+    constant: float
+    beyond_3: float
+    largest: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class InnovationLog:
+    """Innovations of one receiver and what its filter believed of them.
+
+    Parameters
+    ----------
+    time : ndarray
+        (K,) of the epochs [s], rising within a segment.
+    innovation : ndarray
+        (K, 2n) lengths of all channels first, then rates [m], [m/s]; NaN where absent.
+    innovation_cov : ndarray
+        (K, 2n, 2n) S; rows of what is absent do not count.
+    channels : tuple of str
+        (n,) names.
+    signals : tuple of str
+        The pair of `PAIRS`.
+    segment : ndarray
+        (K,) int, a number for every stretch that one filter ran through.
+    more : mapping
+        Fields of an `Epoch` by name that the filter's model needs (`FILTER`), (K, ...) each.
+    about : mapping
+        Where it comes from, JSON-able.
+
+    Raises
+    ------
+    ValueError
+        When shapes disagree, times run backwards within a segment, or a variance is not positive.
+    """
+
+    time: FloatArray
+    innovation: FloatArray
+    innovation_cov: FloatArray
+    channels: tuple[str, ...]
+    signals: tuple[str, str] = PAIRS[0]
+    segment: NDArray[np.int64]
+    more: Mapping[str, FloatArray] = field(default_factory=dict)
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        count, m = len(self.time), 2 * len(self.channels)
+        shapes = {
+            "time": (count,),
+            "segment": (count,),
+            "innovation": (count, m),
+            "innovation_cov": (count, m, m),
+        }
+        for name, shape in shapes.items():
+            found = np.shape(getattr(self, name))
+            require(found == shape, f"`{name}` must have shape {shape}, got {found}")
+        require(count > 1 and m > 0, f"a log needs two epochs and a channel, got {count}, {m // 2}")
+        require(np.isfinite(self.time).all(), "`time` must be finite")
+        _check_pair(self.signals)
+        back = (np.diff(self.time) <= 0.0) & (np.diff(self.segment) == 0)
+        if back.any():
+            k = int(back.argmax())
+            raise ValueError(
+                f"`time` must rise within a segment, got {self.time[k]:g} s and then "
+                f"{self.time[k + 1]:g} s in row {k + 2}; begin a new segment where a filter was "
+                "reset or its time jumped"
+            )
+        variance, present = self.variance, np.isfinite(self.innovation)
+        bad = present & ~((variance > 0.0) & np.isfinite(variance))
+        if bad.any():
+            k, row = np.argwhere(bad)[0]
+            raise ValueError(
+                f"variances must be positive, got {variance[k, row]:g} at {self.time[k]:g} s of "
+                f"{self.channels[row % len(self.channels)]}"
+            )
+        for name, array in self.more.items():
+            check_choice("field of a filter", name, FILTER)
+            require(len(array) == count, f"`{name}` must have {count} rows, got {len(array)}")
+
+    @property
+    def variance(self) -> FloatArray:
+        """(K, 2n) diagonal of S."""
+        return np.diagonal(self.innovation_cov, axis1=1, axis2=2)
+
+    @property
+    def present_signals(self) -> tuple[str, ...]:
+        """Which of the pair the log has."""
+        halves = np.split(np.isfinite(self.innovation), 2, axis=1)
+        return tuple(name for name, x in zip(self.signals, halves, strict=True) if x.any())
+
+    @property
+    def visible(self) -> NDArray[np.bool_]:
+        """(K, n) channels that have all signals of the log at an epoch."""
+        length, rate = np.split(np.isfinite(self.innovation), 2, axis=1)
+        has = [name in self.present_signals for name in self.signals]
+        return np.asarray((length | (not has[0])) & (rate | (not has[1])))
+
+    @property
+    def interval_s(self) -> float:
+        """Median time between epochs of a segment [s]."""
+        steps = np.diff(self.time)[np.diff(self.segment) == 0]
+        require(steps.size > 0, "a log needs a segment with two epochs")
+        return float(np.median(steps))
+
+    @property
+    def duration_s(self) -> float:
+        """Time in all segments [s]."""
+        return float(np.diff(self.time)[np.diff(self.segment) == 0].sum())
+
+    def epochs(self) -> Iterator[Epoch]:
+        """Every epoch as a detector takes it, of one receiver; absent channels are invisible."""
+        n, visible = len(self.channels), self.visible
+        rows = np.concatenate([visible, visible], axis=1) & np.isfinite(self.innovation)
+        steps = np.diff(self.time, prepend=self.time[0] - self.interval_s)
+        steps[np.diff(self.segment, prepend=self.segment[0]) != 0] = self.interval_s
+        nowhere = np.zeros((1, 3))
+        for k, here in enumerate(rows):
+            S = np.where(here[:, None] & here, self.innovation_cov[k], np.eye(2 * n))
+            yield Epoch(
+                time=self.time[k : k + 1],
+                interval=steps[k : k + 1],
+                innovation=np.where(here, self.innovation[k], 0.0)[None],
+                innovation_variance=np.diagonal(S).copy()[None],
+                visible=visible[k : k + 1],
+                predicted_position=nowhere,
+                predicted_velocity=nowhere,
+                innovation_cov=S[None],
+                **{name: array[k : k + 1] for name, array in self.more.items()},
+            )
+
+    def check_signals(self) -> list[SignalCheck]:
+        """How the innovations of every signal fit their variances."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            z = self.innovation / np.sqrt(self.variance)
+        halves = dict(zip(self.signals, np.split(z, 2, axis=1), strict=True))
+        follows = (np.diff(self.segment) == 0)[:, None]
+        return [_check_signal(name, halves[name], follows) for name in self.present_signals]
+
+    def list_remarks(self) -> list[str]:
+        """What is unusual about the innovations; a line each."""
+        lines = [line for each in self.check_signals() for line in _remark_on(each)]
+        off = self.innovation_cov * (1.0 - np.eye(self.innovation.shape[1]))
+        rate = PAIRS[0][1]
+        if rate in self.present_signals and not off.any():
+            lines.append(
+                f"{rate}: the log has no correlations, as any table; the receiver's clock is in "
+                "all channels, and tests see a fiftieth to a fifth of what they see in matrices"
+            )
+        return lines
+
+    @classmethod
+    def load(cls, path: str | Path) -> InnovationLog:
+        """Log of a file: a table as .csv or .parquet, or matrices as .npz."""
+        path = Path(path)
+        kind = path.suffix.lower()
+        check_choice("ending of a log", kind, (".csv", ".parquet", ".npz"))
+        if not path.is_file():
+            raise FileNotFoundError(f"there is no file {path}")
+        try:
+            return _read_matrices(path) if kind == ".npz" else cls.from_table(_read_table(path))
+        except (ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
+            raise ValueError(f"{path}: {error}") from error
+
+    @classmethod
+    def from_table(
+        cls, table: pandas.DataFrame, about: Mapping[str, Any] | None = None
+    ) -> InnovationLog:
+        """Log of a table with `COLUMNS`, a row for each innovation; S is diagonal."""
+        missing = [name for name in COLUMNS if name not in table]
+        require(
+            not missing,
+            f"a log needs the columns {', '.join(COLUMNS)}; missing: {', '.join(missing)}",
+        )
+        require(len(table) > 0, "a log needs rows")
+        names = {str(name) for name in table["signal"].unique()}
+        pair = next((each for each in PAIRS if names <= set(each)), None)
+        if pair is None:
+            raise ValueError(
+                "`signal` must be pseudorange and range_rate, or position and velocity, got "
+                f"{', '.join(sorted(names))}"
+            )
+        segment = table["segment"] if "segment" in table else np.zeros(len(table), dtype=np.int64)
+        keys = np.stack([np.asarray(segment, float), np.asarray(table["time_s"], float)], axis=1)
+        _, first, epoch = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        epoch = np.argsort(np.argsort(first))[epoch.ravel()]  # in the order of the file
+        order = np.sort(first)
+        channels = tuple(sorted({str(name) for name in table["channel"]}))
+        n = len(channels)
+        require(n <= MOST_CHANNELS, f"a log has at most {MOST_CHANNELS} channels, got {n}")
+        place = {name: k for k, name in enumerate(channels)}
+        row = np.array([place[str(name)] for name in table["channel"]])
+        row += n * (table["signal"].to_numpy() == pair[1])
+        innovation = np.full((len(order), 2 * n), np.nan)
+        variance = np.ones((len(order), 2 * n))
+        taken = np.bincount(epoch * 2 * n + row, minlength=innovation.size)
+        if taken.max() > 1:
+            k, twice = divmod(int(taken.argmax()), 2 * n)
+            raise ValueError(
+                f"{pair[twice // n]} of {channels[twice % n]} is there twice at "
+                f"{keys[order[k], 1]:g} s"
+            )
+        innovation[epoch, row] = table["innovation"]
+        variance[epoch, row] = table["variance"]
+        return cls(
+            time=keys[order, 1],
+            innovation=innovation,
+            innovation_cov=variance[:, :, None] * np.eye(2 * n),
+            channels=channels,
+            signals=pair,
+            segment=keys[order, 0].astype(np.int64),
+            about=about or {},
+        )
+
+    @classmethod
+    def from_replay(cls, solution: Solution) -> InnovationLog:
+        """Log of a replayed receiver."""
+        seen = np.concatenate([solution.visible, solution.visible], axis=1)
+        return cls(
+            time=solution.time,
+            innovation=np.where(seen, solution.innovation, np.nan),
+            innovation_cov=solution.innovation_cov,
+            channels=tuple(f"C{k + 1:02d}" for k in range(solution.visible.shape[1])),
+            segment=np.zeros(len(solution.time), dtype=np.int64),
+            more=solution.filter_fields,
+            about={"from": "replay"},
+        )
+
+    def save(self, path: str | Path) -> Path:
+        """Write matrices (.npz), or a table (.csv), which loses what is off S's diagonal."""
+        path = Path(path)
+        check_choice("ending of a log", path.suffix.lower(), (".npz", ".csv"))
+        with whole_file(path) as part, part.open("wb") as file:
+            if path.suffix.lower() == ".csv":
+                file.write(self._table().to_csv(index=False).encode())
+            else:
+                arrays: dict[str, Any] = {
+                    **{name: getattr(self, name) for name in (*MATRICES[:3], "segment")},
+                    **{name: np.array(getattr(self, name)) for name in MATRICES[3:]},
+                    "about": np.array(json.dumps(dict(self.about))),
+                    **self.more,
+                }
+                np.savez_compressed(file, **arrays)
+        return path
+
+    def _table(self) -> pandas.DataFrame:
+        import pandas
+
+        epoch, row = np.nonzero(np.isfinite(self.innovation))
+        n = len(self.channels)
+        return pandas.DataFrame(
+            {
+                "time_s": self.time[epoch],
+                "channel": np.array(self.channels)[row % n],
+                "signal": np.array(self.signals)[row // n],
+                "innovation": self.innovation[epoch, row],
+                "variance": self.variance[epoch, row],
+                "segment": self.segment[epoch],
+            }
+        )
+
+
+BLOCKS = 20  # of epochs, from whose spread the interval of a mean follows
+T_975 = 2.093  # 97.5 % point of Student's t with 19 degrees of freedom
+
+
+def _check_signal(name: str, z: FloatArray, follows: NDArray[np.bool_]) -> SignalCheck:
+    square = z * z
+    nis = float(np.nanmean(square))
+    found = [
+        np.nanmean(block) for block in np.array_split(square, BLOCKS) if np.isfinite(block).any()
+    ]
+    spread = T_975 * float(np.std(found, ddof=1)) / math.sqrt(len(found)) if len(found) > 2 else nis
+    pairs = follows & np.isfinite(z[:-1]) & np.isfinite(z[1:])
+    before, after = z[:-1][pairs], z[1:][pairs]
+    size = math.sqrt(float(np.sum(before**2) * np.sum(after**2)))
+    with np.errstate(invalid="ignore"):
+        means = np.array([np.mean(c[np.isfinite(c)]) for c in z.T if np.isfinite(c).any()])
+    return SignalCheck(
+        signal=name,
+        innovations=int(np.isfinite(z).sum()),
+        nis=nis,
+        low=max(nis - spread, 0.0),
+        high=nis + spread,
+        sd_factor=math.sqrt(nis),
+        lag1=float(np.sum(before * after)) / size if size > 0.0 else 0.0,
+        constant=float(np.sqrt(np.mean(means**2))),
+        beyond_3=float(np.nanmean(np.where(np.isfinite(z), np.abs(z) > 3.0, np.nan))),
+        largest=float(np.nanmax(np.abs(z))),
+    )
+
+
+WIDE, NARROW = 30.0, 0.05
+"""Mean squares over variances beyond which something is wrong, and below which the receiver
+assumes far more noise than it meets."""
+PERSISTENT = 0.5  # correlation of successive innovations from which tests with memory suffer
+
+
+def _remark_on(signal: SignalCheck) -> list[str]:
+    name, nis, factor = signal.signal, signal.nis, signal.sd_factor
+    lines = []
+    if nis > WIDE:
+        lines.append(
+            f"{name}: {factor:.3g} times its standard deviation: are units, time base and "
+            "satellite clocks right (deg/s for rad/s, leap seconds)?"
+        )
+    elif nis < NARROW:
+        lines.append(
+            f"{name}: the receiver assumes {1.0 / max(factor, 1e-9):.3g} times the noise that it "
+            "meets; tests with thresholds of their own see little"
+        )
+    if signal.lag1 > PERSISTENT:
+        lines.append(
+            f"{name}: innovations persist (correlation {signal.lag1:.2f}); give tests with memory "
+            "a bias_window_s, or thresholds of this log"
+        )
+    return lines
+
+
+def _check_pair(signals: tuple[str, ...]) -> None:
+    require(
+        signals in PAIRS,
+        f"`signals` must be {' or '.join(' and '.join(pair) for pair in PAIRS)}, got "
+        f"{', '.join(signals)}",
+    )
+
+
+def _read_table(path: Path) -> pandas.DataFrame:
+    from importlib.util import find_spec
+
+    if find_spec("pandas") is None:
+        raise ImportError("reading a table needs pandas and pyarrow: pip install spoofgym[flights]")
+    import pandas
+
+    if path.stat().st_size > LARGEST_BYTES:
+        raise ValueError(f"it must have at most {LARGEST_BYTES // 2**20} MiB")
+    if path.suffix.lower() == ".csv":
+        return pandas.read_csv(path, encoding="utf-8-sig")
+    return pandas.read_parquet(path)
+
+
+def _read_matrices(path: Path) -> InnovationLog:
+    with zipfile.ZipFile(path) as archive:
+        size = sum(each.file_size for each in archive.infolist())
+    require(size <= LARGEST_BYTES, f"it must unpack to {LARGEST_BYTES // 2**20} MiB at most")
+    with np.load(path, allow_pickle=False) as found:
+        missing = [name for name in MATRICES if name not in found]
+        require(not missing, f"missing arrays: {', '.join(missing)}; needed: {', '.join(MATRICES)}")
+        channels = tuple(map(str, np.atleast_1d(found["channels"])))
+        signals = tuple(map(str, np.atleast_1d(found["signals"])))
+        require(len(channels) <= MOST_CHANNELS, f"at most {MOST_CHANNELS} channels are valid")
+        _check_pair(signals)
+        numbers = {
+            name: np.ascontiguousarray(found[name], dtype=np.float64)
+            for name in (*MATRICES[:3], *FILTER)
+            if name in found
+        }
+        time = numbers.pop("time")
+        segment = found["segment"] if "segment" in found else np.zeros(time.shape)
+        return InnovationLog(
+            time=time,
+            innovation=numbers.pop("innovation"),
+            innovation_cov=numbers.pop("innovation_cov"),
+            channels=channels,
+            signals=signals,  # type: ignore[arg-type]
+            segment=segment.astype(np.int64),
+            more=numbers,
+            about=json.loads(str(found["about"])) if "about" in found else {},
+        )
+
+
+def missing_fields(log: InnovationLog, needs: frozenset[str]) -> list[str]:
+    """Fields of an epoch that a detector needs and a log does not have."""
+    has = {"innovation_cov", *log.more}
+    return sorted(needs & set(OPTIONAL) - has)

@@ -1,0 +1,192 @@
+"""Logs of innovations: both forms, what is refused, and detectors in front of them."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from spoofgym import InnovationLog
+from spoofgym.calibration.log import cut_windows, judge_log
+from spoofgym.detectors import make_detector
+from spoofgym.receiver import replay
+from spoofgym.simulation import Engine, TightlyCoupledSetup
+from spoofgym.simulation.recording import record_run
+
+from ..command_line import call, refused
+
+pandas = pytest.importorskip("pandas")
+
+NAMES = ("north", "east", "down")
+TESTS = ("snapshot-chi2", "cusum", "aime", "ewma", "glr-step", "shewhart")
+
+
+def write_filter(seconds=4000, interval_s=1.0, ramp_mps=0.0, from_s=np.inf, seed=0):
+    """Rows of a filter of its own: position and velocity, driven by white acceleration."""
+    rng = np.random.default_rng(seed)
+    F, q = np.array([[1.0, interval_s], [0.0, 1.0]]), 0.1
+    Q = q * np.array([[interval_s**3 / 3, interval_s**2 / 2], [interval_s**2 / 2, interval_s]])
+    R, root, truth = np.diag([4.0, 0.04]), np.linalg.cholesky(Q), np.zeros((2, 3))
+    estimate, P, rows = np.zeros((2, 3)), np.diag([4.0, 1.0]), []
+    for k in range(1, round(seconds / interval_s) + 1):
+        time = k * interval_s
+        truth = F @ truth + root @ rng.standard_normal((2, 3))
+        pull = max(time - from_s, 0.0) * ramp_mps
+        false = np.array([[pull, 0.0, 0.0], [ramp_mps * (pull > 0.0), 0.0, 0.0]])
+        measured = truth + false + np.sqrt(np.diag(R))[:, None] * rng.standard_normal((2, 3))
+        estimate, P = F @ estimate, F @ P @ F.T + Q
+        S, z = P + R, measured - estimate
+        for axis, name in enumerate(NAMES):
+            for signal, row in (("position", 0), ("velocity", 1)):
+                rows.append((time, name, signal, z[row, axis], S[row, row]))
+        gain = P @ np.linalg.inv(S)
+        estimate, P = estimate + gain @ z, P - gain @ P
+    return pandas.DataFrame(rows, columns=["time_s", "channel", "signal", "innovation", "variance"])
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return InnovationLog.from_table(write_filter())
+
+
+@pytest.mark.parametrize("signals", ["pseudorange", "range_rate"])
+def test_a_log_of_the_engine_gives_its_statistics_to_the_last_bit(signals, tmp_path):
+    detector = {"name": "snapshot-chi2", "signals": signals}
+    setup = TightlyCoupledSetup(
+        scenario="zhong2025", detector=detector, timeline={"warmup_s": 20.0, "live_s": 10.0}
+    )
+    initial, recording, _ = record_run(setup, np.random.default_rng(4), epochs=80)
+    log = InnovationLog.from_replay(replay(recording, setup.receiver, initial=initial))
+    log = InnovationLog.load(log.save(tmp_path / "run.npz"))
+    (found,) = judge_log(log, [detector])
+    engine = Engine(1, setup, threads=1)
+    engine.reset([np.random.default_rng(4)])
+    ratio = []
+    for _ in range(80 - int(engine.simulator.onset[0])):
+        engine.step(np.zeros((1, len(setup.action_names))))
+        ratio.append(engine.simulator.ratio()[0])
+    assert len(ratio) > 30
+    np.testing.assert_array_equal(found.ratio[-len(ratio) :], ratio)
+    # a table has no correlations: clock drift is common to all range rates, and hides their errors
+    table = InnovationLog.load(log.save(tmp_path / "run.csv"))
+    (coarse,) = judge_log(table, [detector])
+    left = np.median(coarse.ratio) / np.median(found.ratio)
+    assert 0.8 < left < 1.0 if signals == "pseudorange" else left < 0.2
+    assert any("correlations" in line for line in table.list_remarks())
+    assert not any("correlations" in line for line in log.list_remarks())
+
+
+def test_a_filter_of_ones_own_is_judged_unchanged_and_its_ramp_found(clean):
+    attacked = InnovationLog.from_table(write_filter(ramp_mps=5.0, from_s=3000.0))
+    specs = [{"name": name, "signals": "range_rate"} for name in TESTS if name != "ewma"]
+    specs.append("ewma")
+    onset = clean.time > 3000.0
+    for quiet, loud in zip(judge_log(clean, specs, 1.0), judge_log(attacked, specs), strict=True):
+        assert (loud.ratio[onset] / quiet.factor).max() > 1.0, loud.detector
+        assert (loud.ratio[~onset] / quiet.factor > 1.0).mean() < 0.05, loud.detector
+    nis = {each.signal: each for each in clean.check_signals()}
+    for each in nis.values():
+        assert each.low < 1.0 < each.high
+        assert abs(each.lag1) < 0.1
+        assert each.innovations == 3 * 4000
+
+
+def test_thresholds_of_the_log_keep_their_rate_on_another_one():
+    rate, window_s, alarms, windows = 20.0, 30.0, 0, 0
+    fitted, *others = (InnovationLog.from_table(write_filter(3000, seed=seed)) for seed in range(4))
+    (own,) = judge_log(fitted, ["snapshot-chi2"], rate, window_s)
+    for log in others:
+        (found,) = judge_log(log, ["snapshot-chi2"], None, window_s)
+        alarms += int((found.windows > own.factor).sum())
+        windows += len(found.windows)
+    # 15 % of 300 windows, where the threshold is the 15th of 100: within 4 standard deviations
+    p = -np.expm1(-rate * window_s / 3600.0)
+    spread = np.sqrt(windows * p * (1 - p) * (1.0 + windows / len(own.windows)))
+    assert abs(alarms - p * windows) < 4.0 * spread
+
+
+def test_a_rate_beyond_the_log_is_refused_with_the_one_that_it_supports(clean):
+    message = r"need 113 windows of 160 s \(5.0 h\), .* has 25; it supports (\S+) an hour"
+    with pytest.raises(ValueError, match=message) as caught:
+        judge_log(clean, ["snapshot-chi2"], 0.2)
+    supported = float(re.search(message, str(caught.value))[1])
+    assert judge_log(clean, ["snapshot-chi2"], 1.01 * supported)[0].factor > 0.0
+
+
+def test_segments_begin_anew_and_time_that_runs_back_is_refused():
+    table = write_filter(400)
+    back = table.assign(time_s=np.where(table.time_s > 200, table.time_s - 150.5, table.time_s))
+    with pytest.raises(ValueError, match=r"must rise within a segment.*begin a new segment"):
+        InnovationLog.from_table(back)
+    log = InnovationLog.from_table(back.assign(segment=(table.time_s > 200).astype(int)))
+    assert log.duration_s == pytest.approx(398.0)
+    assert (cut_windows(log, 60.0).max() + 1, (cut_windows(log, 60.0) < 0).sum()) == (6, 40)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.drop(columns="variance"), "missing: variance"),
+        (lambda t: t.assign(variance=0.0), "variances must be positive, got 0 at 1 s of down"),
+        (lambda t: t.assign(variance=np.nan), "variances must be positive, got nan"),
+        (lambda t: t.assign(signal="doppler_hz"), "pseudorange and range_rate, .* got doppler_hz"),
+        (lambda t: pandas.concat([t, t.iloc[:1]]), "position of north is there twice at 1 s"),
+        (lambda t: t.assign(time_s=np.nan), "`time` must be finite"),
+        (lambda t: t.iloc[:0], "a log needs rows"),
+    ],
+)
+def test_what_is_no_log_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        InnovationLog.from_table(change(write_filter(20)))
+
+
+def test_matrices_of_a_wrong_shape_or_with_objects_are_refused(clean, tmp_path):
+    path = clean.save(tmp_path / "log.npz")
+    with np.load(path) as found:
+        arrays = dict(found)
+    for name, value, message in (
+        ("innovation_cov", arrays["innovation_cov"][:, :5], r"must have shape \(4000, 6, 6\)"),
+        ("signals", np.array(["a", "b"]), "pseudorange and range_rate or position and velocity"),
+        ("about", np.array({"a": 1}, dtype=object), "allow_pickle"),
+    ):
+        np.savez(path, **{**arrays, name: value}, allow_pickle=True)
+        with pytest.raises(ValueError, match=message):
+            InnovationLog.load(path)
+    np.savez(path, time=arrays["time"])
+    with pytest.raises(ValueError, match="missing arrays: innovation, innovation_cov"):
+        InnovationLog.load(path)
+
+
+def test_a_detector_says_what_the_log_lacks(clean):
+    alone = InnovationLog.from_table(write_filter(400).query("signal == 'position'"))
+    with pytest.raises(
+        ValueError, match="tests velocity, which the log does not have: give it sig"
+    ):
+        judge_log(alone, [{"name": "snapshot-chi2"}])
+    assert judge_log(alone, [{"name": "snapshot-chi2", "signals": "pseudorange"}])[0].factor == 1.0
+    with pytest.raises(ValueError, match=r"raim needs pseudorange, .* which the log does not have"):
+        judge_log(clean, ["raim"])
+    augmented = make_detector({"name": "solution-separation", "filter": "augmented"})
+    with pytest.raises(ValueError, match=r"which the log does not have|filter of its own"):
+        judge_log(clean, [augmented])
+
+
+def test_the_command_checks_judges_and_converts(clean, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_filter(800).to_csv("walk.csv", index=False)
+    shown = " ".join(call("log", "check", "walk.csv").output.split())
+    assert "800 epochs in 1 segments, 799 s, one every 1 s, of 3 channels" in shown
+    wrong = write_filter(200)
+    wrong.assign(innovation=57.3 * wrong.innovation).to_csv("wrong.csv", index=False)
+    remarks = json.loads(call("log", "check", "wrong.csv", "--json").output)["remarks"]
+    assert all("are units, time base and satellite clocks right" in line for line in remarks)
+    assert "written: walk.npz" in call("log", "import", "walk.csv", "-o", "walk.npz").output
+    options = "--detector", "ewma", "--detector", "snapshot-chi2:signals=pseudorange"
+    rows = json.loads(call("log", "judge", "walk.npz", *options, "--json").output)
+    assert [row["epochs"] for row in rows] == [800, 800]
+    judged = call("log", "judge", "walk.npz", *options, "--false-alarms-per-hour", "10")
+    assert judged.exit_code == 0
+    assert "it supports" in refused(
+        "log", "judge", "walk.npz", *options, "--false-alarms-per-hour", "0.2"
+    )
+    assert "there is no file" in refused("log", "check", "none.csv")
