@@ -11,6 +11,7 @@ drops copies, and records that their neighbours in time, which describe the same
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
@@ -159,6 +160,12 @@ class Ephemerides:
         """Some of the records, by indices (S,) in their order, or booleans (R,)."""
         index = np.asarray(records)
         return Ephemerides(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+
+def join_ephemerides(parts: Sequence[Ephemerides]) -> Ephemerides:
+    """The records of several files, in their order; `screen` drops the copies among them."""
+    names = [field.name for field in fields(Ephemerides)]
+    return Ephemerides(**{x: np.concatenate([getattr(e, x) for e in parts]) for x in names})
 
 
 def solve_kepler(mean_anomaly: ArrayLike, eccentricity: ArrayLike) -> NDArray[np.float64]:
