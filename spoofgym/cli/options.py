@@ -181,11 +181,24 @@ class WorldOptions:
     attack: str | None = Option(None, help=f"What the spoofer can do. {SPEC_HELP}")
     track: Path | None = Option(
         None,
-        help="Recorded flight (.csv, .json, .parquet; .gz too) to fly instead of the scenario's. "
+        help="Recorded flight (.csv, .json, .jsonl, .parquet; .gz too) to fly instead of the scenario's. "
         "Needs --ephemeris.",
     )
-    ephemeris: Path | None = Option(
-        None, help="RINEX 2 or 3 navigation file with the GPS satellites."
+    ephemeris: list[Path] | None = Option(
+        None,
+        help="RINEX 2, 3 or 4 navigation file with the GPS satellites; may be repeated, for the "
+        "files of two days, hours or stations.",
+    )
+    aircraft: str | None = Option(
+        None, help="Aircraft of a track that holds several, as its file writes it."
+    )
+    altitude_unit: str | None = Option(
+        None, help="Unit of the track's altitude, ft or m. Default: by the column's name."
+    )
+    interpolated: str = Option(
+        "drop",
+        help="What becomes of positions on the line between their neighbours: drop, or keep, for "
+        "simulated tracks.",
     )
     from_s: float | None = Option(
         None,

@@ -208,12 +208,13 @@ def _scenario(options: WorldOptions, usual: Any) -> tuple[dict[str, Any], tuple[
     own = {"errors": options.errors, "imu": options.imu}
     own = {key: x for key, x in own.items() if x is not None}
     own = {**({"name": spec} if isinstance(spec, str) else spec or {}), **own}
-    if options.track is None and options.ephemeris is None:
-        for option in options.find_passed(("from_s", "duration", "day")).values():
-            raise ValueError(f"{option} cuts a recorded track; there is no --track")
+    if options.track is None and not options.ephemeris:
+        of_track = ("from_s", "duration", "day", "aircraft", "altitude_unit", "interpolated")
+        for option in options.find_passed(of_track).values():
+            raise ValueError(f"{option} is of a recorded track; there is no --track")
         changed = options.find_passed(("scenario", "errors", "imu"))
         return ({"scenario": make_scenario(own)} if changed else {}), (), None
-    if options.track is None or options.ephemeris is None:
+    if options.track is None or not options.ephemeris:
         raise ValueError("--track and --ephemeris belong together: a flight needs its satellites")
     from datetime import date
 
@@ -231,6 +232,9 @@ def _scenario(options: WorldOptions, usual: Any) -> tuple[dict[str, Any], tuple[
         from_s=options.from_s,
         duration_s=options.duration,
         day=day,
+        altitude_unit=options.altitude_unit,
+        aircraft=options.aircraft,
+        interpolated=options.interpolated,
         **{name: getattr(base, name) for name in accepted},
     )
     return {"scenario": real.scenario}, real.lines, real.reports

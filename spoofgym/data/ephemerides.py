@@ -294,6 +294,23 @@ class BroadcastConstellation:
         return propagate_orbits(self.ephemerides, schedule.record[satellite, column], elapsed)
 
 
+    def explain_loss(self, time: float) -> str:
+        """Why satellites are missing at a time of the simulation [s], and what may help."""
+        e, now = self.ephemerides, self.start + time
+        near, ahead = np.abs(e.time_of_ephemeris - now) <= VALIDITY, e.time_of_ephemeris > now
+        valid, later = (set(e.satellite_id[x & e.healthy]) for x in (near, ahead))
+        lost = set(e.satellite_id[e.healthy]) - valid
+        last = float(e.time_of_ephemeris[e.healthy].max())
+        if not lost:
+            return "; all satellites have a valid record then: lower the mask"
+        return (
+            f"; {len(lost)} of {len(lost | valid)} satellites have no valid record at "
+            f"{_calendar(now)}, {len(lost & later)} of them have one later; the last record is of "
+            f"{_calendar(last)}: give the files before and after this time too, such as that of "
+            "the next day, or files of more stations (--ephemeris may be repeated)"
+        )
+
+
 class Rejection(NamedTuple):
     """A record that its neighbours contradict, its GPS seconds, and the distance to the position by
     the neighbour that it contradicts least [m]."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,16 +14,22 @@ from ..truth.scenario import Scenario
 from .cleaning import clean_track
 from .ephemerides import (
     GPS_EPOCH,
+    VALIDITY,
     BroadcastConstellation,
     Ephemerides,
     ScreeningReport,
     gps_seconds,
+    join_ephemerides,
     screen,
 )
 from .rinex import read_navigation
 from .track_fit import fit_track
 from .tracks import read_track
 
+ONLY_TRAJECTORY = (
+    "Only the trajectory is real, and where satellites were: measurements, sensor errors and "
+    "attacks are simulated."
+)
 
 @dataclass(frozen=True)
 class RealInput:
@@ -30,7 +37,8 @@ class RealInput:
 
     - `scenario`: flight and satellites of the files;
     - `lines`: text: what was dropped, how closely the flight fits the fixes, what was assumed;
-    - `reports`: the same as data, with keys ``track``, ``fit``, ``ephemeris``, ``time``.
+    - `reports`: the same as data, with keys ``note``, ``track``, ``fit``,
+      ``ephemeris``, ``time``.
     """
 
     scenario: Scenario
@@ -40,42 +48,56 @@ class RealInput:
 
 def real_scenario(
     track: str | Path,
-    ephemeris: str | Path,
+    ephemeris: str | Path | Sequence[str | Path],
     *,
     from_s: float | None = None,
     duration_s: float | None = None,
     day: date | None = None,
+    altitude_unit: Literal["ft", "m"] | None = None,
+    aircraft: str | None = None,
+    interpolated: Literal["drop", "keep"] = "drop",
     **settings: Any,
 ) -> RealInput:
-    """Scenario of a recorded flight under the satellites of a navigation file.
+    """Scenario of a recorded flight under the satellites of a navigation file, or of several.
 
     `from_s`: start [s] after the first row of the track; by default that of the longest airborne
     stretch without a gap; `duration_s`: duration [s]; by default ten minutes, or what the stretch
     offers; `day`: day of the flight; by default its own if the ephemerides are of it, else that of
-    the ephemerides, at the same time of day.
+    the ephemerides, at the same time of day; `altitude_unit`, `aircraft`: see `read_track`;
+    `interpolated`: see `clean_track`.
     """
-    fixes, cleaning = clean_track(read_track(track), from_s=from_s, duration_s=duration_s)
+    fixes, cleaning = clean_track(
+        read_track(track, altitude_unit=altitude_unit, aircraft=aircraft),
+        from_s=from_s,
+        duration_s=duration_s,
+        interpolated=interpolated,
+    )
     flight, fit = fit_track(fixes)
-    accepted, screening = screen(read_navigation(ephemeris))
-    broadcast = ephemeris_day(accepted)
+    files = [ephemeris] if isinstance(ephemeris, (str, Path)) else [*ephemeris]
+    accepted, screening = screen(join_ephemerides([read_navigation(file) for file in files]))
     own = fixes.start_utc.astimezone(UTC)
-    start = datetime.combine(day or broadcast, own.timetz())
+    start = datetime.combine(day or ephemeris_day(accepted, own), own.timetz())
     seconds = gps_seconds(start)
     constellation = BroadcastConstellation(accepted, seconds)
     scenario = Scenario(name=fixes.name, flight=flight, constellation=constellation, **settings)
-    name = Path(ephemeris).name
+    seen = scenario.world().visible.sum(axis=1)
+    name = ", ".join(Path(file).name for file in files)
     return RealInput(
         scenario,
         (
+            ONLY_TRAJECTORY,
             *cleaning.lines(),
             *fit.lines(),
             *screening_lines(name, screening),
             _time_line(own, start, name),
+            f"{seen.min()} to {seen.max()} satellites with a valid record are visible in flight",
         ),
         {
+            "note": ONLY_TRAJECTORY,
             "track": cleaning.as_dict(),
             "fit": fit.as_dict(),
-            "ephemeris": {"name": name, **asdict(screening), "rejected": screening.rejected},
+            "ephemeris": {"name": name, **asdict(screening), "rejected": screening.rejected}
+            | {"fewest_visible": int(seen.min()), "most_visible": int(seen.max())},
             "time": {
                 "track_start_utc": own.isoformat(),
                 "simulated_start_utc": start.isoformat(),
@@ -86,7 +108,11 @@ def real_scenario(
     )
 
 
-def ephemeris_day(ephemerides: Ephemerides) -> date:
+def ephemeris_day(ephemerides: Ephemerides, own: datetime) -> date:
+    """The day of a flight itself where there are records of its first time, else the day of most
+    records. `own`: time of its first fix, UTC."""
+    if np.abs(ephemerides.time_of_ephemeris - gps_seconds(own)).min() <= VALIDITY:
+        return own.date()
     days = np.floor(ephemerides.time_of_ephemeris / 86_400.0).astype(np.int64)
     found, counts = np.unique(days, return_counts=True)
     return (GPS_EPOCH + timedelta(days=int(found[counts.argmax()]))).date()

@@ -143,7 +143,6 @@ def test_version_4_gives_its_legacy_orbits_and_leaves_out_all_other_frames(writt
 def test_a_blank_field_drops_a_record_only_where_orbits_need_it(written):
     for field in ("-0.150000000000D-03", " 0.630000000000D+02-0.9", "-0.110000000000D-07"):
         found = read_navigation(written(HEADER_2 + G05.replace(field[:19], 19 * " ", 1)))
-        assert same(found.take([0]), found)
         assert found.root_semi_major_axis.tolist() == [5153.7]
     blank = written(HEADER_2 + G12 + G05.replace(" 0.700000000000D+00", 19 * " "))
     with pytest.warns(RuntimeWarning, match=r"line 13: `mean_anomaly` must be a number, got ''"):
