@@ -19,6 +19,13 @@ from numpy.typing import NDArray
 from ..core.declared import check_word
 from ..core.registry import require
 from ..earth.wgs84 import EQUATORIAL_RADIUS, dcm_e_from_n, geodetic_to_ecef
+from .contradictions import (
+    Made,
+    find_mistaken_altitude,
+    find_mistaken_course,
+    find_mistaken_speed,
+    wrap,
+)
 from .track_fit import MINIMUM_FIXES, Track
 from .tracks import KNOT, RawTrack
 
@@ -191,16 +198,12 @@ def resolved_courses(track_deg: Floats, course: Floats) -> tuple[Floats, Mask]:
     unwrapped = np.zeros(track_deg.size, dtype=np.bool_)
     for shift in (0.0, 256.0, -256.0) if is_byte else (0.0,):
         candidate = np.radians(track_deg + shift)
-        difference = np.abs(_wrap_angle(candidate - course))
+        difference = np.abs(wrap(candidate - course))
         better = difference <= best if shift == 0.0 else difference < best
-        angle = np.where(better, _wrap_angle(candidate), angle)
+        angle = np.where(better, wrap(candidate), angle)
         best = np.where(better, difference, best)
         unwrapped = np.where(better, shift != 0.0, unwrapped)
     return angle, unwrapped
-
-
-def _wrap_angle(angle: Floats) -> Floats:
-    return np.asarray(np.pi - (np.pi - angle) % (2.0 * np.pi))
 
 
 def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int]]:
@@ -215,7 +218,8 @@ def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int
 class CleaningReport:
     """What cleaning found and dropped; counts are rows of the file unless said otherwise.
 
-    - `name`: name of the file or flight; `rows`: all of them;
+    - `name`: name of the file or flight; `rows`: all of them; `unsorted`: those that came too late
+      in the file;
     - `incomplete`: rows without latitude, longitude or altitude;
     - `repeated`: rows that repeat the position of the row before;
     - `late`: rows whose position is not newer than the one before;
@@ -236,6 +240,7 @@ class CleaningReport:
 
     name: str
     rows: int
+    unsorted: int
     incomplete: int
     repeated: int
     late: int
@@ -272,6 +277,7 @@ class CleaningReport:
             f"taken: {self.duration_s:.0f} s from {self.start_utc}, {self.fixes} fixes, "
             f"{self.angles} with a course",
             "the barometric altitude is taken as height above the ellipsoid",
+            *[f"{self.unsorted} rows were out of order, and are sorted by time"][: self.unsorted],
         ]
 
 
@@ -286,15 +292,20 @@ def clean_track(
     seconds after the first row of the file, by default the start of the longest stretch, for ten
     minutes, or what the stretch offers."""
     check_word("interpolated", interpolated, ("drop", "keep"))
-    counts: dict[str, int] = {"rows": raw.time.size}
+    counts: dict[str, int] = {"rows": raw.time.size, "unsorted": raw.unsorted}
     fixes = _distinct_fixes(raw, counts, interpolated == "drop")
     fixes = _without_outliers(fixes, counts)
-    angle, speed = _trusted_velocities(fixes, counts)
+    angle, speed = _trusted_velocities(raw.name, fixes, counts)
     found = _airborne_stretches(raw.name, fixes, speed, counts)
     elapsed = fixes.time - raw.time[0]
     first, last = _chosen_stretch(elapsed, found, from_s)
     cut = _cut(elapsed, (first, last), from_s, duration_s)
-    fixes, angle = fixes[cut], angle[cut]
+    fixes, angle, speed = fixes[cut], angle[cut], speed[cut]
+    if raw.unit_by_name:
+        _refuse(
+            raw.name,
+            find_mistaken_altitude(fixes.time, fixes.altitude, fixes.vertical_rate, speed),
+        )
     start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=float(fixes.time[0]))
     track = Track(
         raw.name,
@@ -326,6 +337,7 @@ class _Fixes:
     altitude: Floats
     groundspeed: Floats
     track_deg: Floats
+    vertical_rate: Floats
 
     def __getitem__(self, used: Mask) -> _Fixes:
         return _Fixes(*(getattr(self, field)[used] for field in self.__dataclass_fields__))
@@ -344,6 +356,7 @@ def _distinct_fixes(raw: RawTrack, counts: dict[str, int], drop_interpolated: bo
         raw.altitude,
         raw.groundspeed,
         raw.track_deg,
+        raw.vertical_rate,
     )
     complete = np.isfinite(raw.latitude + raw.longitude + raw.altitude)
     require(
@@ -376,14 +389,27 @@ def _without_outliers(fixes: _Fixes, counts: dict[str, int]) -> _Fixes:
     return fixes[~off]
 
 
-def _trusted_velocities(fixes: _Fixes, counts: dict[str, int]) -> tuple[Floats, Floats]:
+def _refuse(name: str, mistake: str | None) -> None:
+    if mistake is not None:
+        raise ValueError(f"{name!r} contradicts itself: {mistake}")
+
+
+def _trusted_velocities(name: str, fixes: _Fixes, counts: dict[str, int]) -> tuple[Floats, Floats]:
     """Courses to be trusted, and speeds: reported ones where trusted, else made good. Groundspeeds
     that are not to be trusted become NaN in the fixes."""
     made = compute_ground_track(fixes.time, fixes.latitude, fixes.longitude)
+    seen = Made(made.speed, made.path_speed, made.course)
+    swapped = None
+    if (np.abs(fixes.longitude) < 0.5 * np.pi).all():
+        other = compute_ground_track(fixes.time, fixes.longitude, fixes.latitude)
+        swapped = Made(other.speed, other.path_speed, other.course)
+    reported = fixes.groundspeed.copy()
     wrong = contradicting_speeds(fixes.groundspeed, made)
     wrong |= stale_runs(fixes.groundspeed, wrong)
     fixes.groundspeed[wrong] = np.nan
     angle, unwrapped = resolved_courses(fixes.track_deg, made.course)
+    _refuse(name, find_mistaken_course(fixes.time, fixes.track_deg, angle, seen, swapped))
+    _refuse(name, find_mistaken_speed(reported, seen))
     rejected = np.isfinite(fixes.track_deg) & np.isnan(angle)
     rejected |= stale_runs(fixes.track_deg, rejected)
     angle[rejected] = np.nan
@@ -405,13 +431,34 @@ def _airborne_stretches(
     found = [(first, last) for first, last in found if last - first + 1 >= MINIMUM_FIXES]
     counts.update(grounded=int((~airborne).sum()), stretches=len(found))
     if not found:
-        tally = ", ".join(f"{key} {value}" for key, value in counts.items())
         raise ValueError(
             f"{name!r} must have an airborne stretch of at least {MINIMUM_FIXES} fixes without a "
-            f"gap over {LARGEST_GAP_S:g} s, got none ({tally}); a simulated track without noise "
-            "needs interpolated='keep'"
+            f"gap over {LARGEST_GAP_S:g} s, got none: {_explain_none(fixes, speed, counts)}"
         )
     return found
+
+
+def _explain_none(fixes: _Fixes, speed: Floats, counts: dict[str, int]) -> str:
+    """Why no stretch is left: each reason that concerns half of the fixes, or else the first."""
+    count, dropped = fixes.time.size, counts["interpolated"]
+    if dropped > count:
+        return (
+            f"{dropped} of {count + dropped} positions are interpolated between their neighbours; "
+            "a simulated track without noise needs interpolated='keep' (--interpolated keep)"
+        )
+    slow, low = ~(speed > AIRBORNE_SPEED), fixes.altitude <= 0.0
+    interval = np.diff(fixes.time)
+    far = interval > LARGEST_GAP_S
+    reasons = [
+        (slow, f"{slow.sum()} of {count} fixes are at {AIRBORNE_SPEED / KNOT:g} kt or slower"),
+        (low, f"{low.sum()} of {count} fixes are at an altitude of 0 or below"),
+        (far, f"fixes are {np.median(interval) if count > 1 else 0.0:.0f} s apart in the median"),
+    ]
+    found = [words for mask, words in reasons if mask.size and mask.mean() >= 0.5]
+    others = (
+        f"{slow.sum()} slow and {low.sum()} low fixes, {far.sum()} gaps, and jumps between them"
+    )
+    return "; ".join(found) or others
 
 
 def _chosen_stretch(

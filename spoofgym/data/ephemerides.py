@@ -293,7 +293,6 @@ class BroadcastConstellation:
         elapsed[np.abs(elapsed) > VALIDITY] = np.nan
         return propagate_orbits(self.ephemerides, schedule.record[satellite, column], elapsed)
 
-
     def explain_loss(self, time: float) -> str:
         """Why satellites are missing at a time of the simulation [s], and what may help."""
         e, now = self.ephemerides, self.start + time

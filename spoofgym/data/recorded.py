@@ -31,6 +31,7 @@ ONLY_TRAJECTORY = (
     "attacks are simulated."
 )
 
+
 @dataclass(frozen=True)
 class RealInput:
     """A scenario from files, and how it was made.

@@ -6,11 +6,12 @@ from __future__ import annotations
 import gzip
 import json
 import math
+import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
-from io import BytesIO
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -48,37 +49,60 @@ if TYPE_CHECKING:
     import pandas
 
 FOOT = 0.3048  # international foot [m]
-UNITS = {"ft": FOOT, "m": 1.0}  # of the altitude, as a user names them [m]
 KNOT = 1852.0 / 3600.0  # knot [m/s]
-MINUTE = 60.0  # minute [s]
+UNITS = {"ft": FOOT, "m": 1.0}  # of the altitude, as a user names them [m]
+FACTORS = {  # of the units that may end a column's name, in m, m/s and deg
+    **dict.fromkeys(("ft", "feet"), FOOT),
+    **dict.fromkeys(("m", "meter", "meters", "metres", "mps", "m_s", "ms", "deg", "degrees"), 1.0),
+    **dict.fromkeys(("kt", "kts", "knots", "kn"), KNOT),
+    **dict.fromkeys(("kmh", "km_h", "kph"), 1.0 / 3.6),
+    **dict.fromkeys(("mph",), 0.44704),
+    **dict.fromkeys(("ftpmin", "fpm", "ft_min"), FOOT / 60.0),
+}
 
-TIME = ("timestamp", "time", "datetime", "utc")
-POSITION_TIME = ("last_position", "lastposupdate", "position_time")
-AIRCRAFT = ("icao24", "hex", "aircraft")
+TIME = (
+    *("timestamp", "time", "datetime", "utc", "timestamp_utc", "time_utc", "now", "ts", "snapshot"),
+    *("snapshottime", "date_time", "unixtime", "epoch", "last_contact", "lastcontact"),
+)
+REQUIRED = ("latitude", "longitude", "altitude")
+POSITION_TIME = ("last_position", "lastposupdate", "position_time", "time_position")
+AIRCRAFT = ("icao24", "hex", "icao", "aircraft", "fr24_id", "callsign", "flight")
 QUANTITIES: dict[str, dict[str, float]] = {
-    "latitude": {"latitude": 1.0, "lat": 1.0},
-    "longitude": {"longitude": 1.0, "lon": 1.0, "lng": 1.0, "long": 1.0},
+    "latitude": dict.fromkeys(("latitude", "lat"), 1.0),
+    "longitude": dict.fromkeys(("longitude", "lon", "lng", "long"), 1.0),
     "altitude": {
-        "altitude_m": 1.0,
-        "height_m": 1.0,
-        "altitude": FOOT,
-        "altitude_ft": FOOT,
-        "alt": FOOT,
+        **dict.fromkeys(("altitude", "alt_baro", "altitude_baro", "alt"), FOOT),
+        **dict.fromkeys(("height", "baro_altitude", "baroaltitude"), 1.0),
+        **dict.fromkeys(("geo_altitude", "geoaltitude"), 1.0),
+        **dict.fromkeys(("alt_geom", "alt_gnss"), FOOT),
     },
     "groundspeed": {
-        "groundspeed_mps": 1.0,
-        "groundspeed": KNOT,
-        "groundspeed_kt": KNOT,
-        "gs": KNOT,
+        **dict.fromkeys(("groundspeed", "ground_speed", "gs", "gspeed", "speed", "spd"), KNOT),
+        "velocity": 1.0,
     },
-    "track": {"track": 1.0, "track_deg": 1.0, "course": 1.0},
+    "track": dict.fromkeys(
+        ("track", "true_track", "track_angle", "course", "direction", "trk", "heading", "hd"), 1.0
+    ),
     "vertical_rate": {
-        "vertical_rate_mps": 1.0,
-        "vertical_rate": FOOT / MINUTE,
-        "vertical_rate_ftpmin": FOOT / MINUTE,
-        "baro_rate": FOOT / MINUTE,
+        **dict.fromkeys(("vertical_rate", "baro_rate", "vspeed", "verticalspeed"), FOOT / 60.0),
+        "vertrate": 1.0,
     },
-}  # column names by quantity, each with what turns its unit into m, m/s or deg
+}
+"""Column names of traffic, OpenSky, readsb and Flightradar24, each with its unit in m, m/s or deg;
+a unit may be added to them. The first one counts."""
+NAMELESS = {  # names of the values of a row, by the key of rows without them
+    "states": (
+        *("icao24", "callsign", "origin_country", "time_position", "last_contact", "longitude"),
+        *("latitude", "baro_altitude", "on_ground", "velocity", "true_track", "vertical_rate_mps"),
+        *("sensors", "geo_altitude"),
+    ),
+    "path": ("time", "latitude", "longitude", "baro_altitude", "true_track", "on_ground"),
+    "trace": ("after_s", "lat", "lon", "alt_baro", "gs", "track", "flags", "baro_rate"),
+}
+NESTS = ("result", "response", "data", "flight")  # keys of what holds rows further down
+ROWS = (*NAMELESS, "aircraft", "ac", "tracks", "track", "trail", *NESTS)  # keys of rows
+MEANT = ("feet", "kts", "fpm")  # of a value that is given in several units
+DAYS = (20_000.0, 80_000.0)  # of a spreadsheet that counts from 1900: the years 1954 to 2119
 RANGES = {  # valid values by quantity; beyond what ADS-B can say where that is bounded
     "latitude": (-90.0, 90.0, "deg"),
     "longitude": (-180.0, 360.0, "deg"),
@@ -100,7 +124,9 @@ class RawTrack:
     - `latitude`, `longitude` (n,) geodetic [rad], NaN where missing;
     - `altitude` (n,) barometric altitude [m], NaN where missing;
     - `groundspeed`, `vertical_rate` (n,) over ground and upwards [m/s], NaN where missing;
-    - `track_deg` (n,) course over ground as recorded [deg], NaN where missing.
+    - `track_deg` (n,) course over ground as recorded [deg], NaN where missing;
+    - `unsorted`: rows that were earlier than one before them in the file;
+    - `unit_by_name`: whether the altitude's unit is a guess by the column's name.
     """
 
     name: str
@@ -112,6 +138,8 @@ class RawTrack:
     groundspeed: NDArray[np.float64]
     vertical_rate: NDArray[np.float64]
     track_deg: NDArray[np.float64]
+    unsorted: int = 0
+    unit_by_name: bool = True
 
 
 def read_track(
@@ -120,16 +148,17 @@ def read_track(
     altitude_unit: Literal["ft", "m"] | None = None,
     aircraft: str | None = None,
 ) -> RawTrack:
-    """Read a recorded track from a CSV, Parquet or JSON file, compressed or not. `altitude_unit`:
-    unit of the altitude column; by default feet, unless its name ends in _m. A
-    `spoofgym.data.tracks.FileError` says what is wrong with the file."""
+    """Read a recorded track from a CSV, Parquet, JSON or JSON Lines file, compressed or not.
+    `altitude_unit`: unit of the altitude column; by default by its name, see `QUANTITIES`;
+    `aircraft`: the one to take of several. A `spoofgym.data.tracks.FileError` says what is wrong
+    with the file."""
     path = Path(path)
     if find_spec("pandas") is None:
         raise ImportError("reading tracks needs pandas and pyarrow: pip install spoofgym[flights]")
     kind = path.name.removesuffix(".gz").rsplit(".", 1)[-1].lower()
     require(
-        kind in {"csv", "json", "parquet", "pq"},
-        f"`path` must end in .csv, .json or .parquet, got {path.name!r}",
+        kind in {"csv", "json", "jsonl", "ndjson", "parquet", "pq"},
+        f"`path` must end in .csv, .json, .jsonl or .parquet, got {path.name!r}",
     )
     content = read_file(path)
     try:
@@ -149,18 +178,114 @@ def _frame(content: bytes, kind: str) -> pandas.DataFrame:
     import pandas
 
     if kind == "csv":
-        return pandas.read_csv(BytesIO(content)) if content.strip() else pandas.DataFrame()
-    if kind == "json":
-        found = json.loads(content)
-        if not isinstance(found, (list, dict)):
-            raise ValueError("it must hold a list of records or columns by name")
-        return pandas.DataFrame(found)
+        return _read_csv(content)
+    if kind.endswith("json") or kind == "jsonl":
+        return pandas.DataFrame(_read_json(_decode(content), kind != "json"))
     from pyarrow.parquet import read_metadata
 
     about = read_metadata(BytesIO(content))
     if (size := 8 * about.num_rows * about.num_columns) > LARGEST_SIZE:
         raise ValueError(f"it must hold at most {LARGEST_SIZE // 8} values, got {size // 8}")
     return pandas.read_parquet(BytesIO(content))
+
+
+def _decode(content: bytes) -> str:
+    wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    return content.decode("utf-16" if wide else "utf-8-sig")
+
+
+def _read_csv(content: bytes) -> pandas.DataFrame:
+    """Columns apart by commas, semicolons, tabs or bars; with others than commas, there may be
+    commas for points. Names of aircraft stay text: 4e5432 is no number."""
+    import pandas
+
+    text = _decode(content)
+    head = next((line for line in text.splitlines() if line.strip()), "")
+    if not head:
+        return pandas.DataFrame()
+    apart = max(",;\t|", key=head.count)
+    names = pandas.read_csv(StringIO(text), sep=apart, nrows=0).columns
+    kinds = {name: str for name in names if _plain_name(name) in AIRCRAFT}
+    return pandas.read_csv(
+        StringIO(text), sep=apart, dtype=kinds, decimal="." if apart == "," else ",",
+        skipinitialspace=True, low_memory=False,
+    )  # fmt: skip
+
+
+def _read_json(text: str, by_line: bool) -> Any:
+    """Rows of a JSON text, or columns by name."""
+    if by_line:
+        lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+        found = []
+        for number, line in lines:
+            try:
+                found.append(json.loads(line))
+            except ValueError as error:
+                raise ValueError(f"line {number} is no JSON: {error}") from error
+    else:
+        found = json.loads(text)
+    if not isinstance(found, (list, dict)):
+        raise ValueError("it must hold a list of records or columns by name")
+    return found if _is_columns(found) else list(_rows(found, {}))
+
+
+def _is_columns(found: Any) -> bool:
+    """Whether it is columns by name, of numbers or text."""
+    return isinstance(found, dict) and all(
+        isinstance(x, (list, dict)) and not any(isinstance(y, (list, dict)) for y in _items(x))
+        for x in found.values()
+    )
+
+
+def _items(found: Any) -> Any:
+    return found.values() if isinstance(found, dict) else found
+
+
+def _rows(found: Any, above: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Rows of records, and of the answers of services, which nest them; what stands above rows,
+    such as the time of all, holds for each."""
+    for item in found if isinstance(found, list) else [found]:
+        if not isinstance(item, dict):
+            raise ValueError(f"a row must be an object with names, got {str(item)[:40]!r}")
+        item = {str(key).strip().lower(): value for key, value in item.items()}
+        key = next((key for key in ROWS if _holds_rows(key, item)), None)
+        if key is None:
+            yield _flat_row(above | item)
+            continue
+        own = above | {x: y for x, y in item.items() if not isinstance(y, (list, dict))}
+        rows = item[key] or []
+        if key in NAMELESS and isinstance(rows, list):
+            rows = [
+                dict(zip(NAMELESS[key], row, strict=False)) if isinstance(row, list) else row
+                for row in rows
+            ]
+        yield from _rows(rows, own)
+
+
+def _holds_rows(key: str, item: dict[str, Any]) -> bool:
+    value = item.get(key)
+    if isinstance(value, list):
+        return all(isinstance(row, (list, dict)) for row in value)
+    silent = key == "states" and key in item and value is None  # OpenSky heard nothing
+    return silent or (key in NESTS and isinstance(value, dict))
+
+
+def _flat_row(row: dict[str, Any]) -> dict[str, Any]:
+    """A row in one unit, with the time of its position where only the age of it is given."""
+    for key, value in row.items():
+        if isinstance(value, dict):
+            row[key] = next((value[unit] for unit in MEANT if unit in value), None)
+    if "after_s" in row:
+        row["timestamp"] = row.get("timestamp", math.nan) + row["after_s"]
+    now, age = row.get("now"), row.get("seen_pos")
+    if isinstance(now, (int, float)) and isinstance(age, (int, float)):
+        row["position_time"] = now - age * (1e3 if now > 1e11 else 1.0)
+    return {key: value for key, value in row.items() if not isinstance(value, list)}
+
+
+def _plain_name(name: Any) -> str:
+    """A column's name in the words of `QUANTITIES`: "Altitude (ft)" is altitude_ft."""
+    return re.sub(r"[^a-z0-9]+", "_", str(name).lower()).strip("_") or str(name)
 
 
 def track_from_frame(
@@ -170,82 +295,106 @@ def track_from_frame(
     altitude_unit: Literal["ft", "m"] | None = None,
     aircraft: str | None = None,
 ) -> RawTrack:
-    """Take a recorded track from a table with one row per report. `altitude_unit`: unit of the
-    altitude column; by default feet, unless its name ends in _m."""
+    """Take a recorded track from a table with one row per report, see `read_track`; rows are
+    sorted by time."""
     if altitude_unit is not None:
         check_word("altitude_unit", altitude_unit, UNITS)
-    frame = frame.rename(columns=lambda column: str(column).strip().lower())
+    frame = frame.rename(columns=_plain_name)
     require(not frame.empty, f"a track must have rows, got none in {name!r}")
-    frame = _one_aircraft(frame, aircraft)
-    required = {"time": TIME} | {
-        quantity: tuple(QUANTITIES[quantity]) for quantity in ("latitude", "longitude", "altitude")
-    }
-    _check_columns(frame, required)
+    frame = _one_aircraft(_split_position(frame), aircraft)
+    used = {quantity: _find_column(frame, names) for quantity, names in QUANTITIES.items()}
+    _check_columns(frame, used)
     time = _seconds(frame, TIME)
     position_time = _seconds(frame, POSITION_TIME)
+    position_time[position_time == 0.0] = np.nan  # never heard
     _check_times(time)
     _check_range("time", time, *TIMES, "s")
     _check_range("position time", position_time, *TIMES, "s")
-    columns = {quantity: _numbers(frame, names) for quantity, names in QUANTITIES.items()}
     if altitude_unit is not None:
-        factor = UNITS[altitude_unit]
-        columns["altitude"] = _numbers(frame, dict.fromkeys(QUANTITIES["altitude"], factor))
+        used["altitude"] = (used["altitude"] or ("",))[0], UNITS[altitude_unit]
+    columns = {quantity: _numbers(frame, column) for quantity, column in used.items()}
     for quantity, valid in RANGES.items():
         _check_range(quantity, columns[quantity], *valid)
+    order = np.argsort(time, kind="stable")
+    latitude, longitude, *others = (columns[quantity][order] for quantity in QUANTITIES)
+    altitude, groundspeed, track, vertical_rate = others
     return RawTrack(
         name,
-        time,
-        position_time,
-        np.radians(columns["latitude"]),
-        np.radians(columns["longitude"]),
-        columns["altitude"],
-        columns["groundspeed"],
-        columns["vertical_rate"],
-        columns["track"],
+        time[order],
+        position_time[order],
+        np.radians(latitude),
+        np.radians(longitude),
+        altitude,
+        groundspeed,
+        vertical_rate,
+        track,
+        unsorted=int((time < np.maximum.accumulate(time)).sum()),
+        unit_by_name=altitude_unit is None,
     )
+
+
+def _split_position(frame: pandas.DataFrame) -> pandas.DataFrame:
+    """A column "46.1,8.2" of Flightradar24 as two."""
+    if "position" not in frame or {"latitude", "lat"} & {*frame}:
+        return frame
+    parts = frame["position"].astype(str).str.extract(r"^\s*([^,;\s]+)[,;\s]+([^,;\s]+)\s*$")
+    return frame.assign(latitude=parts[0], longitude=parts[1])
+
+
+def _find_column(frame: pandas.DataFrame, names: Mapping[str, float]) -> tuple[str, float] | None:
+    """The first column of a quantity that isn't empty, and what its unit is in SI units."""
+    found = [
+        (column, factor if unit is None else FACTORS[unit])
+        for name, factor in names.items()
+        for unit in (*FACTORS, None)
+        if (column := name if unit is None else f"{name}_{unit}") in frame
+    ]
+    held = [each for each in found if frame[[each[0]]].notna().to_numpy().any()]
+    return next(iter(held or found), None)
 
 
 def _one_aircraft(frame: pandas.DataFrame, aircraft: str | None) -> pandas.DataFrame:
     column = next((name for name in AIRCRAFT if name in frame), None)
     if column is None:
+        require(aircraft is None, f"`aircraft` needs a column for it: {', '.join(AIRCRAFT)}")
         return frame
-    found = frame[column].dropna().astype(str).unique().tolist()
-    if aircraft is None and len(found) > 1:
-        raise ValueError(f"`aircraft` must be one of {', '.join(found[:10])}, got none")
-    if aircraft is None:
-        return frame
-    if aircraft not in found:
-        raise ValueError(f"`aircraft` must be one of {', '.join(found[:10])}, got {aircraft!r}")
-    return frame[frame[column].astype(str) == aircraft]
+    names = frame[column].astype(str).str.strip().str.lower().where(frame[column].notna(), "")
+    found = [name for name in names.unique() if name]
+    wanted = str(aircraft).strip().lower()
+    if len(found) > 1 if aircraft is None else wanted not in found:
+        offered = f"{', '.join(found[:10])}{', ...' if len(found) > 10 else ''}"
+        got = "none" if aircraft is None else repr(aircraft)
+        raise ValueError(
+            f"`aircraft` must be one of {offered}, got {got}; the command takes it by --aircraft"
+        )
+    return frame if aircraft is None else frame[names == wanted]
 
 
-def _check_columns(frame: pandas.DataFrame, required: Mapping[str, tuple[str, ...]]) -> None:
+def _check_columns(frame: pandas.DataFrame, used: Mapping[str, tuple[str, float] | None]) -> None:
     if (twice := frame.columns[frame.columns.duplicated()]).size:
         raise ValueError(f"a track must have each column once, got {twice[0]!r} twice")
-    missing = {
-        quantity: names
-        for quantity, names in required.items()
-        if not any(name in frame for name in names)
-    }
-    if missing:
-        wanted = "; ".join(f"{key} ({', '.join(names)})" for key, names in missing.items())
+    wanted = {"time": TIME, **{key: (*QUANTITIES[key],) for key in REQUIRED}}
+    there = {key for key, column in used.items() if column}
+    there |= {"time" for name in TIME if name in frame}
+    if missing := [f"{key} ({', '.join(x)})" for key, x in wanted.items() if key not in there]:
         raise ValueError(
-            f"a track must have columns for {wanted}, got {', '.join(map(str, frame.columns))}"
+            f"a track must have columns for {'; '.join(missing)}, got "
+            f"{', '.join(map(str, frame.columns))}"
         )
 
 
-def _numbers(frame: pandas.DataFrame, factors: Mapping[str, float]) -> NDArray[np.float64]:
-    for name, factor in factors.items():
-        if name in frame:
-            return _as_numbers(frame, name) * factor
-    return np.full(len(frame), math.nan)
+def _numbers(frame: pandas.DataFrame, column: tuple[str, float] | None) -> NDArray[np.float64]:
+    if column is None:
+        return np.full(len(frame), math.nan)
+    return _as_numbers(frame, column[0]) * column[1]
 
 
 def _as_numbers(frame: pandas.DataFrame, name: str) -> NDArray[np.float64]:
     import pandas
 
     try:
-        values: NDArray[np.float64] = pandas.to_numeric(frame[name]).to_numpy(
+        column = frame[name].replace({"ground": 0.0, "": None})  # of readsb, and of CSV
+        values: NDArray[np.float64] = pandas.to_numeric(column).to_numpy(
             dtype=np.float64, na_value=math.nan
         )
     except (ValueError, TypeError, OverflowError) as error:
@@ -266,8 +415,14 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
         try:
             values = _as_numbers(frame, name)
         except ValueError:
-            column = column.astype("string")
+            column = column.astype("string").str.removesuffix(" UTC")
         else:
+            low, high = np.nanmin(values, initial=math.inf), np.nanmax(values, initial=0.0)
+            if DAYS[0] < low and high < min(DAYS[1], low + 2.0) and len(values) > 2:
+                raise ValueError(
+                    f"`{name}` must hold seconds since 1970 or ISO 8601 times, got {low:.6f}, "
+                    "which looks like days of a spreadsheet"
+                )
             size = float(np.nanmax(np.abs(values), initial=0.0))
             per_second = 1e9 if size > 1e17 else 1e6 if size > 1e14 else 1e3 if size > 1e11 else 1.0
             return values / per_second
@@ -282,12 +437,6 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
 def _check_times(time: NDArray[np.float64]) -> None:
     if (missing := np.flatnonzero(~np.isfinite(time))).size:
         raise ValueError(f"every row must have a time, got none in row {missing[0] + 1}")
-    if (back := np.flatnonzero(np.diff(time) < 0.0)).size:
-        row = int(back[0]) + 1
-        raise ValueError(
-            f"time must not run backwards, got {time[row] - time[row - 1]:g} s from row {row} "
-            f"to row {row + 1}"
-        )
 
 
 def _check_range(name: str, value: NDArray[np.float64], low: float, high: float, unit: str) -> None:
@@ -296,4 +445,5 @@ def _check_range(name: str, value: NDArray[np.float64], low: float, high: float,
         raise ValueError(
             f"`{name}` must lie between {low:.10g} and {high:.10g} {unit}, got "
             f"{value[outside[0]]:.10g} {unit} in row {outside[0] + 1}"
+            + ("; are latitude and longitude swapped?" if name == "latitude" else "")
         )

@@ -178,7 +178,11 @@ def test_habits_of_writers(written, old, new):
     ("old", "new", "said"),
     [
         ("".join(G05.splitlines(True)[5:]), "", "line 13: a record has 8 lines, got 5"),
-        ("0.700000000000D+00", "0.7000000x0000D+00", "line 13: `mean_anomaly` must be a number, got"),
+        (
+            "0.700000000000D+00",
+            "0.7000000x0000D+00",
+            "line 13: `mean_anomaly` must be a number, got",
+        ),
         ("0.120000000000D-01", "0.120000000000D+00", r"`eccentricity` .* 0 to 0\.03, got 0\.12"),
         ("0.515370000000D+04", "0.000000000000D+00", "`root_semi_major_axis` .* 2530 to 8192, got"),
         ("0.597600000000D+06", "0.999999999999D+09", "`second_of_week` .* 0 to 604800, got 1e"),
