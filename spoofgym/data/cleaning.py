@@ -11,32 +11,32 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.declared import check_word
 from ..core.registry import require
-from ..earth.wgs84 import EQUATORIAL_RADIUS, dcm_e_from_n, geodetic_to_ecef
-from .contradictions import (
-    Made,
+from ..earth.wgs84 import EQUATORIAL_RADIUS, geodetic_to_ecef
+from .made_good import (
+    COURSE_TOLERANCE,
+    LARGEST_GAP_S,
+    LONG_CHORD_S,
+    GroundTrack,
+    compute_ground_track,
     find_mistaken_altitude,
     find_mistaken_course,
     find_mistaken_speed,
     wrap,
 )
-from .track_fit import MINIMUM_FIXES, Track
+from .track_fit import MINIMUM_FIXES, POSITION_SD, Track
 from .tracks import KNOT, RawTrack
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-POSITION_SD = 100.0  # standard deviation of a fix, mostly the lateness of its time [m]
-LARGEST_GAP_S = 30.0  # longest time between distinct fixes of a stretch [s]
-COURSE_TOLERANCE = math.radians(20.0)  # between a reported course and the course made good [rad]
 INTERPOLATION_TOLERANCE = 0.5  # from the line between its neighbours, of an interpolated fix [m]
 STALE_SHARE = 0.1  # rejected share of a run of one value above which the whole run counts as stale
-CHORD_S = 4.0  # time to either side over which course and speed made good are taken, at least [s]
 HIGHEST_SPEED = 350.0  # highest speed believed between two fixes [m/s]
 AIRBORNE_SPEED = 60.0 * KNOT  # speed over ground above which a fix counts as airborne [m/s]
 DEFAULT_DURATION_S = 600.0  # duration of a track where none is requested [s]
@@ -130,38 +130,6 @@ def broken_links(time: Floats, position_e: Floats) -> Mask:
         faster = distance[index] / interval[index] > distance[index - 1] / interval[index - 1]
         broken[index if faster else index - 1] = True
     return broken
-
-
-class GroundTrack(NamedTuple):
-    """Speeds and courses that follow from positions alone.
-
-    - `speed`, `path_speed` (n,) length of the chord to both sides of a fix, and of the path along
-      the fixes, over time [m/s];
-    - `course` (n,) direction of the chord, clockwise from north [rad]; NaN below `POSITION_SD`;
-    - `span` (n,) time between the ends of the chord [s].
-    """
-
-    speed: Floats
-    path_speed: Floats
-    course: Floats
-    span: Floats
-
-
-def compute_ground_track(time: Floats, latitude: Floats, longitude: Floats) -> GroundTrack:
-    """Speeds and courses from positions [rad], over chords of at least `CHORD_S` to either side;
-    NaN where there is no other fix within `LARGEST_GAP_S`."""
-    position = geodetic_to_ecef(latitude, longitude, 0.0)
-    here = np.arange(time.size)
-    a = np.maximum(np.searchsorted(time, time - CHORD_S, side="right") - 1, 0)
-    b = np.minimum(np.searchsorted(time, time + CHORD_S), time.size - 1)
-    a = np.where(time - time[a] > LARGEST_GAP_S, here, a)
-    b = np.where(time[b] - time > LARGEST_GAP_S, here, b)
-    span = np.where(a < b, time[b] - time[a], np.nan)
-    chord_n = np.einsum("nji,nj->ni", dcm_e_from_n(latitude, longitude), position[b] - position[a])
-    length = np.hypot(chord_n[:, 0], chord_n[:, 1])
-    path = np.cumsum(np.linalg.norm(np.diff(position, axis=0, prepend=position[:1]), axis=1))
-    course = np.where(length > POSITION_SD, np.arctan2(chord_n[:, 1], chord_n[:, 0]), np.nan)
-    return GroundTrack(length / span, (path[b] - path[a]) / span, course, span)
 
 
 def contradicting_speeds(groundspeed: Floats, made: GroundTrack) -> Mask:
@@ -398,11 +366,10 @@ def _trusted_velocities(name: str, fixes: _Fixes, counts: dict[str, int]) -> tup
     """Courses to be trusted, and speeds: reported ones where trusted, else made good. Groundspeeds
     that are not to be trusted become NaN in the fixes."""
     made = compute_ground_track(fixes.time, fixes.latitude, fixes.longitude)
-    seen = Made(made.speed, made.path_speed, made.course)
+    seen = compute_ground_track(fixes.time, fixes.latitude, fixes.longitude, LONG_CHORD_S)
     swapped = None
     if (np.abs(fixes.longitude) < 0.5 * np.pi).all():
-        other = compute_ground_track(fixes.time, fixes.longitude, fixes.latitude)
-        swapped = Made(other.speed, other.path_speed, other.course)
+        swapped = compute_ground_track(fixes.time, fixes.longitude, fixes.latitude, LONG_CHORD_S)
     reported = fixes.groundspeed.copy()
     wrong = contradicting_speeds(fixes.groundspeed, made)
     wrong |= stale_runs(fixes.groundspeed, wrong)

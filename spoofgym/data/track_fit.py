@@ -94,6 +94,7 @@ class Track:
 
 POSITION_SD = 100.0  # of a fix, north and east [m]: its time is late by up to a second
 VELOCITY_SD = 2.0  # standard deviation of a reported velocity [m/s]: steps of 1 kt and 1 deg
+LARGEST_RMS = 4.0 * POSITION_SD  # of the fixes around a flight [m]: more contradicts it
 HEIGHT_SD = 10.0  # standard deviation of a height [m]: steps of 25 ft, and up to a second of climb
 TURN_JERK_PSD = 0.2  # density of the jerk across the path [m^2/s^5]: 0.3 m/s^3 for 2 s
 SPEED_JERK_PSD = 0.005  # density of the jerk along the path [m^2/s^5]: 0.05 m/s^3 for 2 s
@@ -288,7 +289,10 @@ def _quadrature(edges: Floats) -> tuple[Floats, Floats]:
 def _solve(rows: list[csr_array], values: list[Floats]) -> Floats:
     stacked = csr_array(vstack(rows))
     normal = csc_array(stacked.T @ stacked)
-    return np.asarray(splu(normal).solve(stacked.T @ np.concatenate(values)))
+    try:
+        return np.asarray(splu(normal).solve(stacked.T @ np.concatenate(values)))
+    except RuntimeError as error:  # of SuperLU
+        raise ValueError(f"the fixes do not tell a path, check their times: {error}") from error
 
 
 LOAD_LIMITS = (0.3, 2.5)  # normal load factors of a flight [g], the larger one of EASA CS-25.337
@@ -418,6 +422,12 @@ def _report(track: Track, path: SmoothPath, flight: Flight) -> FitReport:
         (latitude - track.latitude) * per_north,
         _half_turn(longitude - track.longitude) * per_east,
     )
+    if (rms := _rms(distance)) > LARGEST_RMS:
+        raise ValueError(
+            f"a fitted flight must stay near its fixes, within {LARGEST_RMS:g} m RMS, got "
+            f"{rms:.0f} m for {track.name!r}: its groundspeeds, courses or times contradict its "
+            "positions; check their units"
+        )
     velocity = path.velocity(track.time)
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     off_course = _half_turn(np.arctan2(velocity[:, 1], velocity[:, 0]) - track.track_angle)
@@ -428,7 +438,7 @@ def _report(track: Track, path: SmoothPath, flight: Flight) -> FitReport:
         duration_s=flight.duration,
         fixes=track.time.size,
         doubted=path.doubted,
-        position_rms_m=_rms(distance),
+        position_rms_m=rms,
         position_max_m=float(distance.max()),
         height_rms_m=_rms(height - track.height),
         speed_rms_mps=_rms(speed - track.groundspeed),
