@@ -181,8 +181,8 @@ class WorldOptions:
     attack: str | None = Option(None, help=f"What the spoofer can do. {SPEC_HELP}")
     track: Path | None = Option(
         None,
-        help="Recorded flight (.csv, .json, .jsonl, .parquet; .gz too) to fly instead of the scenario's. "
-        "Needs --ephemeris.",
+        help="Recorded flight (.csv, .json, .jsonl, .parquet; .gz too) to fly instead of the "
+        "scenario's. Needs --ephemeris.",
     )
     ephemeris: list[Path] | None = Option(
         None,

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -254,7 +253,7 @@ def clean_track(
     *,
     from_s: float | None = None,
     duration_s: float | None = None,
-    interpolated: Literal["drop", "keep"] = "drop",
+    interpolated: str = "drop",
 ) -> tuple[Track, CleaningReport]:
     """Clean a recorded track and cut out a stretch that was flown without a gap: from so many
     seconds after the first row of the file, by default the start of the longest stretch, for ten

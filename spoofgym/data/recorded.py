@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -54,9 +54,9 @@ def real_scenario(
     from_s: float | None = None,
     duration_s: float | None = None,
     day: date | None = None,
-    altitude_unit: Literal["ft", "m"] | None = None,
+    altitude_unit: str | None = None,
     aircraft: str | None = None,
-    interpolated: Literal["drop", "keep"] = "drop",
+    interpolated: str = "drop",
     **settings: Any,
 ) -> RealInput:
     """Scenario of a recorded flight under the satellites of a navigation file, or of several.

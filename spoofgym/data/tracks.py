@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from io import BytesIO, StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,7 +145,7 @@ class RawTrack:
 def read_track(
     path: str | Path,
     *,
-    altitude_unit: Literal["ft", "m"] | None = None,
+    altitude_unit: str | None = None,
     aircraft: str | None = None,
 ) -> RawTrack:
     """Read a recorded track from a CSV, Parquet, JSON or JSON Lines file, compressed or not.
@@ -292,7 +292,7 @@ def track_from_frame(
     frame: pandas.DataFrame,
     name: str,
     *,
-    altitude_unit: Literal["ft", "m"] | None = None,
+    altitude_unit: str | None = None,
     aircraft: str | None = None,
 ) -> RawTrack:
     """Take a recorded track from a table with one row per report, see `read_track`; rows are
