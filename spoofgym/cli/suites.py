@@ -31,6 +31,15 @@ Reports = dict[str, Any] | None
 """Of real input, as `RealInput` has them."""
 
 
+def state_reality(options: WorldOptions) -> list[str]:
+    """What is real of a recorded track, where one is flown."""
+    if options.track is None:
+        return []
+    from ..data.recorded import ONLY_TRAJECTORY
+
+    return [ONLY_TRAJECTORY]
+
+
 def make_world(options: WorldOptions, task: str | None = None) -> World:
     """The world of the options, or of a task."""
     from ..bench.runs.world import World
