@@ -375,7 +375,7 @@ def _trusted_velocities(name: str, fixes: _Fixes, counts: dict[str, int]) -> tup
     fixes.groundspeed[wrong] = np.nan
     angle, unwrapped = resolved_courses(fixes.track_deg, made.course)
     _refuse(name, find_mistaken_course(fixes.time, fixes.track_deg, angle, seen, swapped))
-    _refuse(name, find_mistaken_speed(reported, seen))
+    _refuse(name, find_mistaken_speed(reported, seen, swapped))
     rejected = np.isfinite(fixes.track_deg) & np.isnan(angle)
     rejected |= stale_runs(fixes.track_deg, rejected)
     angle[rejected] = np.nan
@@ -412,6 +412,8 @@ def _explain_none(fixes: _Fixes, speed: Floats, counts: dict[str, int]) -> str:
             f"{dropped} of {count + dropped} positions are interpolated between their neighbours; "
             "a simulated track without noise needs interpolated='keep' (--interpolated keep)"
         )
+    if counts["late"] > count:
+        return f"{counts['late']} rows have no later time than one before them, and another place"
     slow, low = ~(speed > AIRBORNE_SPEED), fixes.altitude <= 0.0
     interval = np.diff(fixes.time)
     far = interval > LARGEST_GAP_S

@@ -78,15 +78,22 @@ def compute_ground_track(
     return GroundTrack(length / span, (path[b] - path[a]) / span, legs / span, course, span)
 
 
-def find_mistaken_speed(reported: Floats, made: GroundTrack) -> str | None:
+def find_mistaken_speed(
+    reported: Floats, made: GroundTrack, swapped: GroundTrack | None
+) -> str | None:
     """The unit that most groundspeeds [m/s] are in, where it is not the one that they are taken
-    for, in words."""
+    for, in words; or that `swapped` latitude and longitude agree with them alone."""
     used = np.isfinite(reported) & (reported > 0.0) & made.straight
     if used.sum() < FEWEST:
         return None
     ratio = made.speed[used] / reported[used]
     middle = float(np.median(ratio))
     same = np.abs(ratio / middle - 1.0) < 0.25
+    if swapped is not None:
+        ratios = (x.speed[used] / reported[used] for x in (made, swapped))
+        off, then = (float(np.nanmedian(np.abs(ratio - 1.0))) for ratio in ratios)
+        if off > 2.0 * SPEED_TOLERANCE and then < 0.25 * off:
+            return "latitude and longitude are swapped: the speeds contradict the positions"
     stale = np.unique(reported[used]).size < DISTINCT  # and any value may be
     for words, factor in [*MISTAKEN_SPEEDS.items()][: 3 if stale else None]:
         if abs(middle / factor - 1.0) < SPEED_TOLERANCE and same.mean() > MOST:

@@ -166,12 +166,17 @@ def read_track(
     except ImportError:
         raise
     except Exception as error:  # parsers raise what they like
-        raise FileError(f"{path} can't be read as {kind.upper()}: {error}") from error
+        raise FileError(f"{path} can't be read as {kind.upper()}: {first_line(error)}") from error
     stem = path.name.split(".", 1)[0]
     try:
         return track_from_frame(frame, stem, altitude_unit=altitude_unit, aircraft=aircraft)
     except ValueError as error:
         raise FileError(f"{path}: {error}") from error
+
+
+def first_line(error: Exception) -> str:
+    """What a parser says, without its advice."""
+    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def _frame(content: bytes, kind: str) -> pandas.DataFrame:
@@ -358,10 +363,10 @@ def _one_aircraft(frame: pandas.DataFrame, aircraft: str | None) -> pandas.DataF
     if column is None:
         require(aircraft is None, f"`aircraft` needs a column for it: {', '.join(AIRCRAFT)}")
         return frame
-    names = frame[column].astype(str).str.strip().str.lower().where(frame[column].notna(), "")
+    names = frame[column].astype(str).str.strip().where(frame[column].notna(), "")
     found = [name for name in names.unique() if name]
-    wanted = str(aircraft).strip().lower()
-    if len(found) > 1 if aircraft is None else wanted not in found:
+    wanted = next((x for x in found if x.lower() == str(aircraft).strip().lower()), None)
+    if len(found) > 1 if aircraft is None else wanted is None:
         offered = f"{', '.join(found[:10])}{', ...' if len(found) > 10 else ''}"
         got = "none" if aircraft is None else repr(aircraft)
         raise ValueError(
@@ -418,7 +423,7 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
             column = column.astype("string").str.removesuffix(" UTC")
         else:
             low, high = np.nanmin(values, initial=math.inf), np.nanmax(values, initial=0.0)
-            if DAYS[0] < low and high < min(DAYS[1], low + 2.0) and len(values) > 2:
+            if DAYS[0] < low <= high < min(DAYS[1], low + 2.0) and len(values) > 2:
                 raise ValueError(
                     f"`{name}` must hold seconds since 1970 or ISO 8601 times, got {low:.6f}, "
                     "which looks like days of a spreadsheet"
@@ -429,7 +434,9 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
     try:
         moments = pandas.to_datetime(column, utc=True, format="ISO8601")
     except (ValueError, TypeError, OverflowError) as error:
-        raise ValueError(f"`{name}` must hold numbers or ISO 8601 times: {error}") from error
+        raise ValueError(
+            f"`{name}` must hold numbers or ISO 8601 times: {first_line(error)}"
+        ) from error
     epoch = pandas.Timestamp(0, tz="UTC")
     return np.asarray((moments - epoch).dt.total_seconds().to_numpy(np.float64))
 

@@ -77,6 +77,13 @@ def test_a_stale_speed_or_course_is_dirt_and_no_mistake(flights):
     assert report.speeds_rejected == report.rows
 
 
+def test_swapped_places_are_found_by_speeds_alone_too(flights):
+    table = make_table(flights[100.0], 1.7e9).drop(columns="track")
+    clean_track(track_from_frame(table, "honest"))
+    with pytest.raises(ValueError, match="longitude are swapped: the speeds contradict"):
+        clean_track(track_from_frame(table.rename(columns=SWAP), "wrong"))
+
+
 def test_swapped_places_that_no_latitude_has_and_fits_off_their_fixes(flights):
     table = make_table(flights[100.0], 1.7e9)
     far = table.assign(latitude=table["longitude"] + 130.0)

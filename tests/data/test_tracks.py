@@ -176,6 +176,7 @@ def spoil(table, column, row, value):
         (lambda t: spoil(t, "altitude", 5, 1e9), r"`altitude` must .* 50000 m, got 304800000 m in"),
         (lambda t: t.assign(timestamp=9e9), r"`time` must lie between 0 and 4102444800 s, got 9"),
         (lambda t: t.assign(LATITUDE=0.0), "each column once, got 'latitude' twice"),
+        (lambda t: t.assign(timestamp=START_S), "56 rows have no later time"),
         (lambda t: t.iloc[:4], "at least 6 rows with a position and an altitude, got 4"),
         (lambda t: t.assign(altitude=0.0), "airborne stretch of at least 6 fixes.*at an altitude"),
         (
