@@ -224,5 +224,10 @@ def test_bench_on_a_real_flight(data_folder):
     line += ["--duration", "120", "--out", "out"]
     result = call(*line)
     assert result.exit_code == 0, result.output
-    assert "the barometric altitude is taken as" in Path("out", "report.html").read_text()
-    assert read(*line, "--json")["input"]["track"]["interpolated"] == 1210
+    page = Path("out", "report.html").read_text()
+    for text in ("Only the trajectory is real", "the barometric altitude is taken as"):
+        assert text in page
+    found = read(*line, "--json")
+    assert found["input"]["track"]["interpolated"] == 1210
+    assert found["input"]["note"].startswith("Only the trajectory is real")
+    assert found["input"]["note"] in " ".join(call(*line).output.split())

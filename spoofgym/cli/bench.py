@@ -235,6 +235,7 @@ def _report(
     from ..bench.report.campaign import print_campaign, state_answer
     from ..bench.report.campaign_page import build_page, replay_worst
     from ..bench.report.page import load_replay, write_page
+    from ..data.recorded import ONLY_TRAJECTORY
 
     summary = summarize(results)
     if not summary["cells"]:
@@ -249,5 +250,6 @@ def _report(
         print_campaign(summary)
     elif summary["missing"]:
         typer.echo(f"not finished: {', '.join(summary['missing'])}")
-    answer = f"{state_answer(summary)} Report: {written[-1]}"
+    real = [note for note in results.config["notes"] if note == ONLY_TRAJECTORY]
+    answer = " ".join([state_answer(summary), *real, f"Report: {written[-1]}"])
     print_lines(wrap(answer, WIDTH, break_long_words=False, break_on_hyphens=False))

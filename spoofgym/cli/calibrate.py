@@ -13,7 +13,7 @@ from typer import Option
 from . import options as opt
 from .app import print_json, print_lines, progress
 from .options import WorldOptions, with_options
-from .suites import make_world
+from .suites import make_world, state_reality
 
 if TYPE_CHECKING:
     from ..bench.runs.world import World
@@ -86,6 +86,7 @@ def calibrate(
         setup, judges, **request, **settings, entropy=seed, overwrite=overwrite, strict=False
     )
     made, lines, sound = _points(found, judges, rate)
+    lines += state_reality(options)
     if check:
         replay(setup, found, judges, threads=threads)
         lines.append(f"replayed: {len(found)} calibrations hold, to {TOLERANCE:g} of every maximum")

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from . import options as opt
-from .app import print_json, progress
+from .app import print_json, print_lines, progress
 from .options import WorldOptions, with_options
-from .suites import make_world
+from .suites import make_world, state_reality
 
 if TYPE_CHECKING:
     from ..bench.experiments.dataset import Plan
@@ -93,12 +93,14 @@ def dataset(
     results = opt.finish_experiment(
         plan, out, jobs=jobs, backend=backend, shard=shard, threads=threads
     )
-    summary = {"folder": str(out), **plan.report(results)}
+    notes = state_reality(options)
+    summary = {"folder": str(out), **plan.report(results), **({"notes": notes} if notes else {})}
     if as_json:
         print_json(summary)
         return
     parts = [{"split": part, **found} for part, found in summary["splits"].items()]
     DATASET.print(f"{out}: {plan.setup.name}, digest {summary['digest']}", parts)
+    print_lines(notes)
 
 
 def _plan(

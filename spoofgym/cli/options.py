@@ -186,21 +186,19 @@ class WorldOptions:
     )
     ephemeris: list[Path] | None = Option(
         None,
-        help="RINEX 2, 3 or 4 navigation file with the GPS satellites, may be repeated; all are "
-        "joined.",
+        help="RINEX 2, 3 or 4 navigation file with the GPS satellites; may be repeated, for the "
+        "files of two days, hours or stations.",
     )
     aircraft: str | None = Option(
-        None, help="Address of the aircraft (icao24) in a track with several."
+        None, help="Aircraft of a track that holds several, as its file writes it."
     )
     altitude_unit: str | None = Option(
-        None,
-        help="Unit of the track's altitude, ft or m. Default: that of the column's name, feet for "
-        "`altitude`.",
+        None, help="Unit of the track's altitude, ft or m. Default: by the column's name."
     )
     interpolated: str = Option(
         "drop",
-        help="What becomes of fixes on the line between their neighbours, drop or keep; a "
-        "simulated track without noise needs keep.",
+        help="What becomes of positions on the line between their neighbours: drop, or keep, for "
+        "simulated tracks.",
     )
     from_s: float | None = Option(
         None,

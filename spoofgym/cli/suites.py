@@ -27,9 +27,17 @@ if TYPE_CHECKING:
 
 LEFT_OUT = " is left out: "
 """In a note, between the label of a detector and the reason."""
-TRACK_OPTIONS = ("from_s", "duration", "day", "aircraft", "altitude_unit", "interpolated")
 Reports = dict[str, Any] | None
 """Of real input, as `RealInput` has them."""
+
+
+def state_reality(options: WorldOptions) -> list[str]:
+    """What is real of a recorded track, where one is flown."""
+    if options.track is None:
+        return []
+    from ..data.recorded import ONLY_TRAJECTORY
+
+    return [ONLY_TRAJECTORY]
 
 
 def make_world(options: WorldOptions, task: str | None = None) -> World:
@@ -210,8 +218,9 @@ def _scenario(options: WorldOptions, usual: Any) -> tuple[dict[str, Any], tuple[
     own = {key: x for key, x in own.items() if x is not None}
     own = {**({"name": spec} if isinstance(spec, str) else spec or {}), **own}
     if options.track is None and not options.ephemeris:
-        for option in options.find_passed(TRACK_OPTIONS).values():
-            raise ValueError(f"{option} is about a recorded track; there is no --track")
+        of_track = ("from_s", "duration", "day", "aircraft", "altitude_unit", "interpolated")
+        for option in options.find_passed(of_track).values():
+            raise ValueError(f"{option} is of a recorded track; there is no --track")
         changed = options.find_passed(("scenario", "errors", "imu"))
         return ({"scenario": make_scenario(own)} if changed else {}), (), None
     if options.track is None or not options.ephemeris:
@@ -232,9 +241,9 @@ def _scenario(options: WorldOptions, usual: Any) -> tuple[dict[str, Any], tuple[
         from_s=options.from_s,
         duration_s=options.duration,
         day=day,
+        altitude_unit=options.altitude_unit,
         aircraft=options.aircraft,
-        altitude_unit=options.altitude_unit,  # type: ignore[arg-type]
-        interpolated=options.interpolated,  # type: ignore[arg-type]
+        interpolated=options.interpolated,
         **{name: getattr(base, name) for name in accepted},
     )
     return {"scenario": real.scenario}, real.lines, real.reports

@@ -11,24 +11,31 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.declared import check_word
-from ..earth.wgs84 import EQUATORIAL_RADIUS, dcm_e_from_n, geodetic_to_ecef
-from .track_fit import MINIMUM_FIXES, Track
+from ..core.registry import require
+from ..earth.wgs84 import EQUATORIAL_RADIUS, geodetic_to_ecef
+from .made_good import (
+    COURSE_TOLERANCE,
+    LARGEST_GAP_S,
+    LONG_CHORD_S,
+    GroundTrack,
+    compute_ground_track,
+    find_mistaken_altitude,
+    find_mistaken_course,
+    find_mistaken_speed,
+    wrap,
+)
+from .track_fit import MINIMUM_FIXES, POSITION_SD, Track
 from .tracks import KNOT, RawTrack
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-POSITION_SD = 100.0  # standard deviation of a fix, mostly the lateness of its time [m]
-LARGEST_GAP_S = 30.0  # longest time between distinct fixes of a stretch [s]
-COURSE_TOLERANCE = math.radians(20.0)  # between a reported course and the course made good [rad]
 INTERPOLATION_TOLERANCE = 0.5  # from the line between its neighbours, of an interpolated fix [m]
 STALE_SHARE = 0.1  # rejected share of a run of one value above which the whole run counts as stale
-CHORD_S = 4.0  # time to either side over which course and speed made good are taken, at least [s]
 HIGHEST_SPEED = 350.0  # highest speed believed between two fixes [m/s]
 AIRBORNE_SPEED = 60.0 * KNOT  # speed over ground above which a fix counts as airborne [m/s]
 DEFAULT_DURATION_S = 600.0  # duration of a track where none is requested [s]
@@ -124,38 +131,6 @@ def broken_links(time: Floats, position_e: Floats) -> Mask:
     return broken
 
 
-class GroundTrack(NamedTuple):
-    """Speeds and courses that follow from positions alone.
-
-    - `speed`, `path_speed` (n,) length of the chord to both sides of a fix, and of the path along
-      the fixes, over time [m/s];
-    - `course` (n,) direction of the chord, clockwise from north [rad]; NaN below `POSITION_SD`;
-    - `span` (n,) time between the ends of the chord [s].
-    """
-
-    speed: Floats
-    path_speed: Floats
-    course: Floats
-    span: Floats
-
-
-def compute_ground_track(time: Floats, latitude: Floats, longitude: Floats) -> GroundTrack:
-    """Speeds and courses from positions [rad], over chords of at least `CHORD_S` to either side;
-    NaN where there is no other fix within `LARGEST_GAP_S`."""
-    position = geodetic_to_ecef(latitude, longitude, 0.0)
-    here = np.arange(time.size)
-    a = np.maximum(np.searchsorted(time, time - CHORD_S, side="right") - 1, 0)
-    b = np.minimum(np.searchsorted(time, time + CHORD_S), time.size - 1)
-    a = np.where(time - time[a] > LARGEST_GAP_S, here, a)
-    b = np.where(time[b] - time > LARGEST_GAP_S, here, b)
-    span = np.where(a < b, time[b] - time[a], np.nan)
-    chord_n = np.einsum("nji,nj->ni", dcm_e_from_n(latitude, longitude), position[b] - position[a])
-    length = np.hypot(chord_n[:, 0], chord_n[:, 1])
-    path = np.cumsum(np.linalg.norm(np.diff(position, axis=0, prepend=position[:1]), axis=1))
-    course = np.where(length > POSITION_SD, np.arctan2(chord_n[:, 1], chord_n[:, 0]), np.nan)
-    return GroundTrack(length / span, (path[b] - path[a]) / span, course, span)
-
-
 def contradicting_speeds(groundspeed: Floats, made: GroundTrack) -> Mask:
     """Reported speeds [m/s] that can't be true, a stale one for instance: outside chord and path
     speed by a tenth and three standard deviations."""
@@ -190,16 +165,12 @@ def resolved_courses(track_deg: Floats, course: Floats) -> tuple[Floats, Mask]:
     unwrapped = np.zeros(track_deg.size, dtype=np.bool_)
     for shift in (0.0, 256.0, -256.0) if is_byte else (0.0,):
         candidate = np.radians(track_deg + shift)
-        difference = np.abs(_wrap_angle(candidate - course))
+        difference = np.abs(wrap(candidate - course))
         better = difference <= best if shift == 0.0 else difference < best
-        angle = np.where(better, _wrap_angle(candidate), angle)
+        angle = np.where(better, wrap(candidate), angle)
         best = np.where(better, difference, best)
         unwrapped = np.where(better, shift != 0.0, unwrapped)
     return angle, unwrapped
-
-
-def _wrap_angle(angle: Floats) -> Floats:
-    return np.asarray(np.pi - (np.pi - angle) % (2.0 * np.pi))
 
 
 def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int]]:
@@ -214,8 +185,8 @@ def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int
 class CleaningReport:
     """What cleaning found and dropped; counts are rows of the file unless said otherwise.
 
-    - `name`: name of the file or flight; `rows`: all of them;
-    - `reordered`: rows that came after a later one, and were sorted;
+    - `name`: name of the file or flight; `rows`: all of them; `unsorted`: those that came too late
+      in the file;
     - `incomplete`: rows without latitude, longitude or altitude;
     - `repeated`: rows that repeat the position of the row before;
     - `late`: rows whose position is not newer than the one before;
@@ -236,7 +207,7 @@ class CleaningReport:
 
     name: str
     rows: int
-    reordered: int
+    unsorted: int
     incomplete: int
     repeated: int
     late: int
@@ -261,8 +232,7 @@ class CleaningReport:
     def lines(self) -> list[str]:
         used = self.angles_as_given + self.angles_unwrapped
         return [
-            f"{self.name}: {self.rows} rows, {self.incomplete} without a position or altitude"
-            + (f", {self.reordered} out of order and sorted" if self.reordered else ""),
+            f"{self.name}: {self.rows} rows, {self.incomplete} without a position or altitude",
             f"dropped: {self.repeated} repeated, {self.late} late, "
             f"{self.interpolated} interpolated positions",
             f"dropped: {self.position_outliers} outliers in position, "
@@ -274,6 +244,7 @@ class CleaningReport:
             f"taken: {self.duration_s:.0f} s from {self.start_utc}, {self.fixes} fixes, "
             f"{self.angles} with a course",
             "the barometric altitude is taken as height above the ellipsoid",
+            *[f"{self.unsorted} rows were out of order, and are sorted by time"][: self.unsorted],
         ]
 
 
@@ -282,21 +253,26 @@ def clean_track(
     *,
     from_s: float | None = None,
     duration_s: float | None = None,
-    interpolated: Literal["drop", "keep"] = "drop",
+    interpolated: str = "drop",
 ) -> tuple[Track, CleaningReport]:
     """Clean a recorded track and cut out a stretch that was flown without a gap: from so many
     seconds after the first row of the file, by default the start of the longest stretch, for ten
     minutes, or what the stretch offers."""
     check_word("interpolated", interpolated, ("drop", "keep"))
-    counts: dict[str, int] = {"rows": raw.time.size, "reordered": raw.reordered}
+    counts: dict[str, int] = {"rows": raw.time.size, "unsorted": raw.unsorted}
     fixes = _distinct_fixes(raw, counts, interpolated == "drop")
     fixes = _without_outliers(fixes, counts)
-    angle, speed = _trusted_velocities(fixes, counts)
+    angle, speed = _trusted_velocities(raw.name, fixes, counts)
     found = _airborne_stretches(raw.name, fixes, speed, counts)
     elapsed = fixes.time - raw.time[0]
     first, last = _chosen_stretch(elapsed, found, from_s)
     cut = _cut(elapsed, (first, last), from_s, duration_s)
-    fixes, angle = fixes[cut], angle[cut]
+    fixes, angle, speed = fixes[cut], angle[cut], speed[cut]
+    if raw.unit_by_name:
+        _refuse(
+            raw.name,
+            find_mistaken_altitude(fixes.time, fixes.altitude, fixes.vertical_rate, speed),
+        )
     start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=float(fixes.time[0]))
     track = Track(
         raw.name,
@@ -328,6 +304,7 @@ class _Fixes:
     altitude: Floats
     groundspeed: Floats
     track_deg: Floats
+    vertical_rate: Floats
 
     def __getitem__(self, used: Mask) -> _Fixes:
         return _Fixes(*(getattr(self, field)[used] for field in self.__dataclass_fields__))
@@ -346,21 +323,14 @@ def _distinct_fixes(raw: RawTrack, counts: dict[str, int], drop_interpolated: bo
         raw.altitude,
         raw.groundspeed,
         raw.track_deg,
+        raw.vertical_rate,
     )
     complete = np.isfinite(raw.latitude + raw.longitude + raw.altitude)
-    if complete.sum() < MINIMUM_FIXES:
-        lacking = {
-            "latitude": raw.latitude,
-            "longitude": raw.longitude,
-            "altitude": raw.altitude,
-        }
-        tally = ", ".join(
-            f"{name} in {int(np.isfinite(value).sum())}" for name, value in lacking.items()
-        )
-        raise ValueError(
-            f"{raw.name!r} must have at least {MINIMUM_FIXES} rows with a position and an "
-            f"altitude, got {complete.sum()} of {raw.time.size} ({tally})"
-        )
+    require(
+        complete.sum() >= MINIMUM_FIXES,
+        f"{raw.name!r} must have at least {MINIMUM_FIXES} rows with a position and an "
+        f"altitude, got {complete.sum()}",
+    )
     fixes, known = fixes[complete], known[complete]
     again = repeated_positions(fixes.latitude, fixes.longitude, known)
     fixes = fixes[~again]
@@ -386,17 +356,26 @@ def _without_outliers(fixes: _Fixes, counts: dict[str, int]) -> _Fixes:
     return fixes[~off]
 
 
-def _trusted_velocities(fixes: _Fixes, counts: dict[str, int]) -> tuple[Floats, Floats]:
+def _refuse(name: str, mistake: str | None) -> None:
+    if mistake is not None:
+        raise ValueError(f"{name!r} contradicts itself: {mistake}")
+
+
+def _trusted_velocities(name: str, fixes: _Fixes, counts: dict[str, int]) -> tuple[Floats, Floats]:
     """Courses to be trusted, and speeds: reported ones where trusted, else made good. Groundspeeds
     that are not to be trusted become NaN in the fixes."""
     made = compute_ground_track(fixes.time, fixes.latitude, fixes.longitude)
-    _refuse_units(fixes, made)
+    seen = compute_ground_track(fixes.time, fixes.latitude, fixes.longitude, LONG_CHORD_S)
+    swapped = None
+    if (np.abs(fixes.longitude) < 0.5 * np.pi).all():
+        swapped = compute_ground_track(fixes.time, fixes.longitude, fixes.latitude, LONG_CHORD_S)
+    reported = fixes.groundspeed.copy()
     wrong = contradicting_speeds(fixes.groundspeed, made)
     wrong |= stale_runs(fixes.groundspeed, wrong)
     fixes.groundspeed[wrong] = np.nan
     angle, unwrapped = resolved_courses(fixes.track_deg, made.course)
-    flown = made.speed > AIRBORNE_SPEED
-    _refuse_courses(fixes.track_deg[flown], made.course[flown], angle[flown])
+    _refuse(name, find_mistaken_course(fixes.time, fixes.track_deg, angle, seen, swapped))
+    _refuse(name, find_mistaken_speed(reported, seen, swapped))
     rejected = np.isfinite(fixes.track_deg) & np.isnan(angle)
     rejected |= stale_runs(fixes.track_deg, rejected)
     angle[rejected] = np.nan
@@ -409,105 +388,45 @@ def _trusted_velocities(fixes: _Fixes, counts: dict[str, int]) -> tuple[Floats, 
     return angle, np.where(np.isnan(fixes.groundspeed), made.speed, fixes.groundspeed)
 
 
-SPEED_UNITS = {
-    "m/s": 1.0 / KNOT,
-    "mph": 0.44704 / KNOT,
-    "km/h": 1.0 / 3.6 / KNOT,
-    "kt (and the column is one of m/s)": KNOT,
-}
-"""Units that a groundspeed may have, by the one that it was taken for."""
-UNIT_TOLERANCE = 0.04  # of a ratio of speeds, within which a unit explains it
-HEADING_OFFSET = math.radians(3.0)  # of courses from those made good, in the median [rad]
-WINDOW = 20  # courses in the window of such a median
-FEWEST_COMPARED = 10  # speeds or courses from which it is said what is wrong with all of them
-MOST = 0.8  # share of the courses that an error explains
-
-
-def _refuse_units(fixes: _Fixes, made: GroundTrack) -> None:
-    """Raise where another unit would make the reported speeds those that were made good."""
-    with np.errstate(invalid="ignore"):
-        compared = np.isfinite(fixes.groundspeed) & (made.speed > AIRBORNE_SPEED)
-        slow, fast = (
-            fixes.groundspeed[compared] / each[compared] for each in (made.speed, made.path_speed)
-        )
-    if slow.size < FEWEST_COMPARED:
-        return
-    ratio = math.sqrt(float(np.median(slow)) * float(np.median(fast)))
-    for unit, factor in SPEED_UNITS.items():
-        if ratio > 0.0 and abs(math.log(ratio * factor)) < UNIT_TOLERANCE:
-            raise ValueError(
-                f"the groundspeeds are {ratio:.3g} times as high as the positions say: are they "
-                f"in {unit}? Name the column by its unit (groundspeed_kt, groundspeed_mps), or "
-                "leave it out"
-            )
-
-
-def _refuse_courses(track_deg: Floats, course: Floats, angle: Floats) -> None:
-    """Raise where the reported courses are wrong in a way that explains them all. `course`: made
-    good; `angle`: as of `resolved_courses`."""
-    compared = np.isfinite(track_deg) & np.isfinite(course)
-    if compared.sum() < FEWEST_COMPARED:
-        return
-    reported, made = np.radians(track_deg[compared]), course[compared]
-    if np.isfinite(angle[compared]).mean() > MOST:
-        off = _wrap_angle(angle[compared] - made)
-        off = off[np.isfinite(off)]
-        windows = [np.median(off[k : k + WINDOW]) for k in range(0, off.size - WINDOW + 1, WINDOW)]
-        typical = float(np.median(np.abs(windows))) if windows else 0.0
-        if typical > HEADING_OFFSET:
-            raise ValueError(
-                f"the courses differ by {math.degrees(typical):.1f} deg from those of the "
-                "positions: are they headings, or magnetic? A track over ground is needed; leave "
-                "the column out where there is none"
-            )
-        return
-    explanations = {
-        "latitude and longitude seem to be swapped": 0.5 * math.pi - made,
-        "the latitude seems to have lost its sign (south is negative)": math.pi - made,
-        "the longitude seems to have lost its sign (west is negative)": -made,
-    }
-    for text, expected in explanations.items():
-        if (np.abs(_wrap_angle(reported - expected)) <= COURSE_TOLERANCE).mean() > MOST:
-            raise ValueError(f"{text}: the courses contradict the positions")
-    if (np.abs(_wrap_angle(track_deg[compared] - made)) <= COURSE_TOLERANCE).mean() > MOST:
-        raise ValueError("the courses seem to be in radians: they must be in degrees")
-
-
 def _airborne_stretches(
     name: str, fixes: _Fixes, speed: Floats, counts: dict[str, int]
 ) -> list[tuple[int, int]]:
     """Stretches in the air and without a gap, longest first; at least one."""
     airborne = (speed > AIRBORNE_SPEED) & (fixes.altitude > 0.0)
-    broken = broken_links(fixes.time, fixes.position_e)
-    found = stretches(fixes.time, broken, airborne)
+    found = stretches(fixes.time, broken_links(fixes.time, fixes.position_e), airborne)
     found = [(first, last) for first, last in found if last - first + 1 >= MINIMUM_FIXES]
     counts.update(grounded=int((~airborne).sum()), stretches=len(found))
     if not found:
-        why = _explain_no_stretch(fixes, speed, broken, counts)
         raise ValueError(
             f"{name!r} must have an airborne stretch of at least {MINIMUM_FIXES} fixes without a "
-            f"gap over {LARGEST_GAP_S:g} s, got none: {why}"
+            f"gap over {LARGEST_GAP_S:g} s, got none: {_explain_none(fixes, speed, counts)}"
         )
     return found
 
 
-def _explain_no_stretch(fixes: _Fixes, speed: Floats, broken: Mask, counts: dict[str, int]) -> str:
-    """The reason why most fixes are in no stretch, with what helps."""
-    count = fixes.time.size
-    with np.errstate(invalid="ignore"):
-        slow, low = int((speed <= AIRBORNE_SPEED).sum()), int((fixes.altitude <= 0.0).sum())
-    reasons = {
-        f"{slow} of {count} fixes are at {AIRBORNE_SPEED / KNOT:g} kt or slower, and only flights "
-        "of aeroplanes are flown": slow,
-        f"{low} of {count} fixes are at an altitude of 0 or below; is the altitude in another unit "
-        "or column (`altitude_unit`)?": low,
-        f"{int(broken.sum())} of {max(count - 1, 0)} intervals between fixes are longer than "
-        f"{LARGEST_GAP_S:g} s or hold a jump; the track is too sparse": int(broken.sum()),
-        f"{counts['interpolated']} of {counts['rows']} rows lie on the line between their "
-        "neighbours and count as interpolated; a simulated track without noise needs "
-        "interpolated='keep'": counts["interpolated"],
-    }
-    return max(reasons, key=lambda text: reasons[text])
+def _explain_none(fixes: _Fixes, speed: Floats, counts: dict[str, int]) -> str:
+    """Why no stretch is left: each reason that concerns half of the fixes, or else the first."""
+    count, dropped = fixes.time.size, counts["interpolated"]
+    if dropped > count:
+        return (
+            f"{dropped} of {count + dropped} positions are interpolated between their neighbours; "
+            "a simulated track without noise needs interpolated='keep' (--interpolated keep)"
+        )
+    if counts["late"] > count:
+        return f"{counts['late']} rows have no later time than one before them, and another place"
+    slow, low = ~(speed > AIRBORNE_SPEED), fixes.altitude <= 0.0
+    interval = np.diff(fixes.time)
+    far = interval > LARGEST_GAP_S
+    reasons = [
+        (slow, f"{slow.sum()} of {count} fixes are at {AIRBORNE_SPEED / KNOT:g} kt or slower"),
+        (low, f"{low.sum()} of {count} fixes are at an altitude of 0 or below"),
+        (far, f"fixes are {np.median(interval) if count > 1 else 0.0:.0f} s apart in the median"),
+    ]
+    found = [words for mask, words in reasons if mask.size and mask.mean() >= 0.5]
+    others = (
+        f"{slow.sum()} slow and {low.sum()} low fixes, {far.sum()} gaps, and jumps between them"
+    )
+    return "; ".join(found) or others
 
 
 def _chosen_stretch(

@@ -162,11 +162,10 @@ class Ephemerides:
         return Ephemerides(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
 
-def join_ephemerides(several: Sequence[Ephemerides]) -> Ephemerides:
-    """Records of several files, such as those of two days or of many hours."""
-    parts = [[getattr(each, f.name) for each in several] for f in fields(Ephemerides)]
-    named = zip(fields(Ephemerides), parts, strict=True)
-    return Ephemerides(**{f.name: np.concatenate(part) for f, part in named})
+def join_ephemerides(parts: Sequence[Ephemerides]) -> Ephemerides:
+    """The records of several files, in their order; `screen` drops the copies among them."""
+    names = [field.name for field in fields(Ephemerides)]
+    return Ephemerides(**{x: np.concatenate([getattr(e, x) for e in parts]) for x in names})
 
 
 def solve_kepler(mean_anomaly: ArrayLike, eccentricity: ArrayLike) -> NDArray[np.float64]:
@@ -293,6 +292,22 @@ class BroadcastConstellation:
         elapsed = t[:, None] - schedule.epoch[satellite, column]
         elapsed[np.abs(elapsed) > VALIDITY] = np.nan
         return propagate_orbits(self.ephemerides, schedule.record[satellite, column], elapsed)
+
+    def explain_loss(self, time: float) -> str:
+        """Why satellites are missing at a time of the simulation [s], and what may help."""
+        e, now = self.ephemerides, self.start + time
+        near, ahead = np.abs(e.time_of_ephemeris - now) <= VALIDITY, e.time_of_ephemeris > now
+        valid, later = (set(e.satellite_id[x & e.healthy]) for x in (near, ahead))
+        lost = set(e.satellite_id[e.healthy]) - valid
+        last = float(e.time_of_ephemeris[e.healthy].max())
+        if not lost:
+            return "; all satellites have a valid record then: lower the mask"
+        return (
+            f"; {len(lost)} of {len(lost | valid)} satellites have no valid record at "
+            f"{_calendar(now)}, {len(lost & later)} of them have one later; the last record is of "
+            f"{_calendar(last)}: give the files before and after this time too, such as that of "
+            "the next day, or files of more stations (--ephemeris may be repeated)"
+        )
 
 
 class Rejection(NamedTuple):

@@ -1,12 +1,11 @@
-"""RINEX navigation files, versions 2 to 4: the GPS broadcast ephemerides in them.
+"""RINEX navigation files, versions 2, 3 and 4: the GPS broadcast ephemerides in them.
 
-The format is that of "RINEX: The Receiver Independent Exchange Format", versions 2.11,
-3.05 and 4.01, sections on the GPS navigation message: a header, then eight lines of fixed columns
-to a record, which in version 4 a line ``> EPH G01 LNAV`` announces.
+The format is that of "RINEX: The Receiver Independent Exchange Format", versions 2.11, 3.05 and
+4.01, sections on the GPS navigation message: a header, then eight lines of fixed columns to a
+record, in version 4 below a line with its kind, of which the legacy ones (LNAV) are read.
 
 The package georinex reads these files too, and the tests compare with it.  It isn't used here,
-since version 1.16.2 drops every record of a satellite of which a version 2 file holds two records
-of one epoch, takes a wrong health from a line that ends early, and fills a cut record with NaN.
+since it drops records that share an epoch, and misreads lines that end early.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..core.registry import require
-from .ephemerides import SECONDS_PER_WEEK, Ephemerides, gps_seconds
+from .ephemerides import ORBIT_FIELDS, SECONDS_PER_WEEK, Ephemerides, gps_seconds
 from .tracks import FileError, read_file
 
 _LOGGER = logging.getLogger(__name__)
@@ -42,9 +41,7 @@ FIELDS = {
     **dict(inclination=(4, 0), crc=(4, 1), perigee=(4, 2), node_rate=(4, 3)),
     **dict(inclination_rate=(5, 0), health=(6, 1), group_delay=(6, 2)),
 }  # line and column of the fields of a record; in line 0 the satellite and epoch are column 0
-
-OPTIONAL = {"clock_bias", "clock_drift", "clock_drift_rate", "issue", "health", "group_delay"}
-"""Fields that no orbit needs."""
+DISPENSABLE = FIELDS.keys() - {*ORBIT_FIELDS, "second_of_week"}  # 0 where they are blank
 
 
 def _compute_signed_range(bits: int, exponent: int, unit: float = 1.0) -> tuple[float, float]:
@@ -93,7 +90,6 @@ _LAYOUTS = {
         first_column=4,
     ),
 }
-_LAYOUTS[4] = _LAYOUTS[3]
 
 
 def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
@@ -107,12 +103,14 @@ def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
     path = Path(path)
     lines = _read_lines(path)
     version = _checked_version(lines[0] if lines else "", path)
+    if version == 4:
+        version, lines = 3, _blank_other_frames(lines)
     satellites: list[str] = []
     records: list[dict[str, float]] = []
     others: Counter[str] = Counter()
     malformed, first = 0, ""
-    for number, block in _blocks(lines, path, announced=version == 4):
-        system = block[0][0] if version >= 3 else "G"
+    for number, block in _blocks(lines, path):
+        system = block[0][0] if version == 3 else "G"
         if system != "G":
             others[system] += 1
             continue
@@ -148,7 +146,7 @@ def _read_lines(path: Path) -> list[str]:
     content = read_file(path)
     if content.startswith(COMPRESS_MAGIC):
         raise FileError(f"{path} is compressed by `compress`; unpack it first (`gzip -d` does)")
-    return content.decode("utf-8-sig", errors="replace").splitlines()
+    return content.decode("ascii", errors="replace").splitlines()
 
 
 def _checked_version(line: str, path: Path) -> int:
@@ -159,22 +157,31 @@ def _checked_version(line: str, path: Path) -> int:
         version = int(float(line[:9]))
     except (ValueError, OverflowError):
         raise FileError(f"{path} has no RINEX version, got {line[:9]!r}") from None
-    if version not in _LAYOUTS:
-        raise FileError(f"{path} is of RINEX version {line[:9].strip()}, valid are 2 to 4")
+    if version not in (2, 3, 4):
+        raise FileError(f"{path} is of RINEX version {line[:9].strip()}, valid are 2, 3 and 4")
     if not kind.startswith("N"):
         raise FileError(f"{path} is not a navigation file of GPS (N), got type {kind!r}")
     return version
 
 
-def _blocks(
-    lines: list[str], path: Path, announced: bool = False
-) -> Iterator[tuple[int, list[str]]]:
-    """Line number and lines of each record: the first columns of its later lines are blank;
-    `announced`: of records that follow a line for their kind, those of the legacy message."""
+def _blank_other_frames(lines: list[str]) -> list[str]:
+    """A version 4 file as one of version 3: blank where there are titles, and frames other than
+    orbits, or orbits of GPS of another message than the legacy one."""
+    kept, used = list[str](), True
+    for line in lines:
+        if is_title := line.startswith(">"):
+            kind, satellite, message = (line[1:].split() + [""] * 3)[:3]
+            used = kind == "EPH" and (satellite[:1] != "G" or message == "LNAV")
+        kept.append(line if used and not is_title else "")
+    return kept
+
+
+def _blocks(lines: list[str], path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Line number and lines of each record: the first columns of its later lines are blank."""
     end = next((k for k, line in enumerate(lines) if line[60:].strip() == "END OF HEADER"), None)
     if end is None:
         raise FileError(f"{path} is cut short: its header has no end")
-    number, block, wanted = 0, list[str](), not announced
+    number, block = 0, list[str]()
     for k, line in enumerate(lines[end + 1 :], start=end + 2):
         if not line.strip():
             continue
@@ -182,11 +189,7 @@ def _blocks(
             if block:
                 yield number, block
             number, block = k, []
-        if announced and line.startswith(">"):
-            kind = line[1:].split()
-            wanted = len(kind) > 2 and kind[0] == "EPH" and (kind[1][0], kind[2]) == ("G", "LNAV")
-        elif wanted:
-            block.append(line)
+        block.append(line)
     if block:
         yield number, block
 
@@ -200,7 +203,7 @@ def _parse(block: list[str], layout: _Layout) -> tuple[str, dict[str, float]]:
         1 <= number <= LAST_SATELLITE, f"the satellite must be 1 to {LAST_SATELLITE}, got {number}"
     )
     record = {
-        name: _number(block[line], layout.first_column + FIELD_WIDTH * column, name in OPTIONAL)
+        name: _number(block[line], layout.first_column + FIELD_WIDTH * column, name)
         for name, (line, column) in FIELDS.items()
     }
     for name, (low, high) in RANGES.items():
@@ -215,13 +218,15 @@ def _parse(block: list[str], layout: _Layout) -> tuple[str, dict[str, float]]:
     return f"G{number:02d}", record
 
 
-def _number(line: str, column: int, optional: bool) -> float:
-    """Value of a field; 0 of one that is blank, which stands for "not known", if it may be."""
-    text = line[column : column + FIELD_WIDTH]
-    if optional and not text.strip():
+def _number(line: str, column: int, name: str) -> float:
+    text = line[column : column + FIELD_WIDTH].strip()
+    if not text and name in DISPENSABLE:
         return 0.0
-    value = float(text.upper().replace("D", "E"))
-    require(math.isfinite(value), f"a field must be finite, got {text!r}")
+    try:
+        value = float(text.upper().replace("D", "E"))
+    except ValueError:
+        raise ValueError(f"`{name}` must be a number, got {text!r}") from None
+    require(math.isfinite(value), f"`{name}` must be finite, got {text!r}")
     return value
 
 

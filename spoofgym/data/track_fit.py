@@ -94,11 +94,11 @@ class Track:
 
 POSITION_SD = 100.0  # of a fix, north and east [m]: its time is late by up to a second
 VELOCITY_SD = 2.0  # standard deviation of a reported velocity [m/s]: steps of 1 kt and 1 deg
+LARGEST_RMS = 4.0 * POSITION_SD  # of the fixes around a flight [m]: more contradicts it
 HEIGHT_SD = 10.0  # standard deviation of a height [m]: steps of 25 ft, and up to a second of climb
 TURN_JERK_PSD = 0.2  # density of the jerk across the path [m^2/s^5]: 0.3 m/s^3 for 2 s
 SPEED_JERK_PSD = 0.005  # density of the jerk along the path [m^2/s^5]: 0.05 m/s^3 for 2 s
 CLIMB_JERK_PSD = 0.005  # spectral density of the vertical jerk [m^2/s^5]
-WORST_RMS = 3.0  # distance of the fixes from a path, in standard deviations, up to which it is one
 HUBER_LIMIT = 3.0  # misfit in standard deviations beyond which a measurement is doubted
 KNOT_INTERVAL = 3.0  # interval of the knots of the splines [s]
 DEGREE = 5  # degree of the splines; from 4 upwards the body rates are continuous
@@ -291,11 +291,8 @@ def _solve(rows: list[csr_array], values: list[Floats]) -> Floats:
     normal = csc_array(stacked.T @ stacked)
     try:
         return np.asarray(splu(normal).solve(stacked.T @ np.concatenate(values)))
-    except RuntimeError as error:
-        raise ValueError(
-            "no path fits these fixes: their times or positions coincide; are the times in "
-            "seconds since 1970, milliseconds or ISO 8601?"
-        ) from error
+    except RuntimeError as error:  # of SuperLU
+        raise ValueError(f"the fixes do not tell a path, check their times: {error}") from error
 
 
 LOAD_LIMITS = (0.3, 2.5)  # normal load factors of a flight [g], the larger one of EASA CS-25.337
@@ -377,14 +374,7 @@ def fit_track(track: Track, *, rate_hz: float = 100.0) -> tuple[Flight, FitRepor
     flight = flight_from_geodetic(
         track.name, latitude, longitude, height, velocity_n, roll, pitch, yaw, 1.0 / rate_hz
     )
-    report = _report(track, path, flight)
-    if report.position_rms_m > WORST_RMS * POSITION_SD:
-        raise ValueError(
-            f"the path that fits {track.name!r} is {report.position_rms_m:.0f} m RMS away from its "
-            f"fixes, more than {WORST_RMS * POSITION_SD:g} m: its speeds or courses contradict its "
-            "positions; leave these columns out, or correct their units"
-        )
-    return flight, report
+    return flight, _report(track, path, flight)
 
 
 def coordinated_attitude(
@@ -432,6 +422,12 @@ def _report(track: Track, path: SmoothPath, flight: Flight) -> FitReport:
         (latitude - track.latitude) * per_north,
         _half_turn(longitude - track.longitude) * per_east,
     )
+    if (rms := _rms(distance)) > LARGEST_RMS:
+        raise ValueError(
+            f"a fitted flight must stay near its fixes, within {LARGEST_RMS:g} m RMS, got "
+            f"{rms:.0f} m for {track.name!r}: its groundspeeds, courses or times contradict its "
+            "positions; check their units"
+        )
     velocity = path.velocity(track.time)
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     off_course = _half_turn(np.arctan2(velocity[:, 1], velocity[:, 0]) - track.track_angle)
@@ -442,7 +438,7 @@ def _report(track: Track, path: SmoothPath, flight: Flight) -> FitReport:
         duration_s=flight.duration,
         fixes=track.time.size,
         doubted=path.doubted,
-        position_rms_m=_rms(distance),
+        position_rms_m=rms,
         position_max_m=float(distance.max()),
         height_rms_m=_rms(height - track.height),
         speed_rms_mps=_rms(speed - track.groundspeed),

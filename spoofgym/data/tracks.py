@@ -1,23 +1,19 @@
 """Recorded tracks as they are: CSV, Parquet and JSON files of ADS-B records; `cleaning` comes
-next.
-
-Columns are found by their names, which also give their units (`QUANTITIES`). Besides plain tables
-these are read as they come: state vectors and tracks of OpenSky (its API and its database), traces
-and snapshots of readsb and tar1090, flights of Flightradar24 (CSV, and the JSON of a playback).
-"""
+next."""
 
 from __future__ import annotations
 
 import gzip
 import json
 import math
+import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from io import BytesIO, StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,49 +49,60 @@ if TYPE_CHECKING:
     import pandas
 
 FOOT = 0.3048  # international foot [m]
-UNITS = {"ft": FOOT, "m": 1.0}  # of the altitude, as a user names them [m]
 KNOT = 1852.0 / 3600.0  # knot [m/s]
-MINUTE, DAY = 60.0, 86_400.0  # [s]
+UNITS = {"ft": FOOT, "m": 1.0}  # of the altitude, as a user names them [m]
+FACTORS = {  # of the units that may end a column's name, in m, m/s and deg
+    **dict.fromkeys(("ft", "feet"), FOOT),
+    **dict.fromkeys(("m", "meter", "meters", "metres", "mps", "m_s", "ms", "deg", "degrees"), 1.0),
+    **dict.fromkeys(("kt", "kts", "knots", "kn"), KNOT),
+    **dict.fromkeys(("kmh", "km_h", "kph"), 1.0 / 3.6),
+    **dict.fromkeys(("mph",), 0.44704),
+    **dict.fromkeys(("ftpmin", "fpm", "ft_min"), FOOT / 60.0),
+}
 
-TIME = ("timestamp", "time", "datetime", "utc", "now")
+TIME = (
+    *("timestamp", "time", "datetime", "utc", "timestamp_utc", "time_utc", "now", "ts", "snapshot"),
+    *("snapshottime", "date_time", "unixtime", "epoch", "last_contact", "lastcontact"),
+)
+REQUIRED = ("latitude", "longitude", "altitude")
 POSITION_TIME = ("last_position", "lastposupdate", "position_time", "time_position")
-AIRCRAFT = ("icao24", "hex", "icao", "aircraft")
-GROUND = "ground"  # in place of an altitude, of an aircraft that stands or rolls
+AIRCRAFT = ("icao24", "hex", "icao", "aircraft", "fr24_id", "callsign", "flight")
 QUANTITIES: dict[str, dict[str, float]] = {
-    "latitude": {"latitude": 1.0, "lat": 1.0},
-    "longitude": {"longitude": 1.0, "lon": 1.0, "lng": 1.0, "long": 1.0},
+    "latitude": dict.fromkeys(("latitude", "lat"), 1.0),
+    "longitude": dict.fromkeys(("longitude", "lon", "lng", "long"), 1.0),
     "altitude": {
-        "altitude_m": 1.0,
-        "height_m": 1.0,
-        **dict.fromkeys(("baroaltitude", "baro_altitude"), 1.0),
-        **dict.fromkeys(("altitude", "altitude_ft", "alt_baro", "alt", "alt_geom"), FOOT),
-        **dict.fromkeys(("geoaltitude", "geo_altitude"), 1.0),
+        **dict.fromkeys(("altitude", "alt_baro", "altitude_baro", "alt"), FOOT),
+        **dict.fromkeys(("height", "baro_altitude", "baroaltitude"), 1.0),
+        **dict.fromkeys(("geo_altitude", "geoaltitude"), 1.0),
+        **dict.fromkeys(("alt_geom", "alt_gnss"), FOOT),
     },
     "groundspeed": {
-        **dict.fromkeys(("groundspeed_mps", "velocity", "velocity_mps"), 1.0),
-        **dict.fromkeys(("groundspeed", "groundspeed_kt", "ground_speed", "gs", "speed"), KNOT),
+        **dict.fromkeys(("groundspeed", "ground_speed", "gs", "gspeed", "speed", "spd"), KNOT),
+        "velocity": 1.0,
     },
     "track": dict.fromkeys(
-        ("track", "track_deg", "true_track", "course", "heading", "direction"), 1.0
+        ("track", "true_track", "track_angle", "course", "direction", "trk", "heading", "hd"), 1.0
     ),
     "vertical_rate": {
-        **dict.fromkeys(("vertical_rate_mps", "vertrate"), 1.0),
-        **dict.fromkeys(
-            ("vertical_rate", "vertical_rate_ftpmin", "baro_rate", "verticalspeed"), FOOT / MINUTE
-        ),
+        **dict.fromkeys(("vertical_rate", "baro_rate", "vspeed", "verticalspeed"), FOOT / 60.0),
+        "vertrate": 1.0,
     },
-}  # column names by quantity, each with what turns its unit into m, m/s or deg
-STATE_VECTOR = (
-    *("icao24", "callsign", "origin_country", "time_position", "last_contact", "longitude"),
-    *("latitude", "baro_altitude", "on_ground", "velocity", "true_track", "vertrate", "sensors"),
-    "geo_altitude",
-)
-"""First fields of a state vector of OpenSky."""
-PATH = ("time", "latitude", "longitude", "baro_altitude", "true_track", "on_ground")
-"""Fields of a waypoint of OpenSky."""
-TRACE = ("offset", "lat", "lon", "alt_baro", "gs", "track", "flags", "baro_rate")
-"""First fields of a point of a trace of readsb; times are after that of the file."""
-EXCEL_DAYS = (20_000.0, 80_000.0)  # of the years 1954 to 2119, counted from 1899-12-30
+}
+"""Column names of traffic, OpenSky, readsb and Flightradar24, each with its unit in m, m/s or deg;
+a unit may be added to them. The first one counts."""
+NAMELESS = {  # names of the values of a row, by the key of rows without them
+    "states": (
+        *("icao24", "callsign", "origin_country", "time_position", "last_contact", "longitude"),
+        *("latitude", "baro_altitude", "on_ground", "velocity", "true_track", "vertical_rate_mps"),
+        *("sensors", "geo_altitude"),
+    ),
+    "path": ("time", "latitude", "longitude", "baro_altitude", "true_track", "on_ground"),
+    "trace": ("after_s", "lat", "lon", "alt_baro", "gs", "track", "flags", "baro_rate"),
+}
+NESTS = ("result", "response", "data", "flight")  # keys of what holds rows further down
+ROWS = (*NAMELESS, "aircraft", "ac", "tracks", "track", "trail", *NESTS)  # keys of rows
+MEANT = ("feet", "kts", "fpm")  # of a value that is given in several units
+DAYS = (20_000.0, 80_000.0)  # of a spreadsheet that counts from 1900: the years 1954 to 2119
 RANGES = {  # valid values by quantity; beyond what ADS-B can say where that is bounded
     "latitude": (-90.0, 90.0, "deg"),
     "longitude": (-180.0, 360.0, "deg"),
@@ -113,12 +120,13 @@ class RawTrack:
 
     - `name`: name of the file or flight;
     - `time` (n,) time of the rows since 1970-01-01 UTC [s], never falling;
-    - `reordered`: rows of the file that came after a later one;
     - `position_time` (n,) true time of the positions [s], NaN where the file doesn't say;
     - `latitude`, `longitude` (n,) geodetic [rad], NaN where missing;
     - `altitude` (n,) barometric altitude [m], NaN where missing;
     - `groundspeed`, `vertical_rate` (n,) over ground and upwards [m/s], NaN where missing;
-    - `track_deg` (n,) course over ground as recorded [deg], NaN where missing.
+    - `track_deg` (n,) course over ground as recorded [deg], NaN where missing;
+    - `unsorted`: rows that were earlier than one before them in the file;
+    - `unit_by_name`: whether the altitude's unit is a guess by the column's name.
     """
 
     name: str
@@ -130,19 +138,20 @@ class RawTrack:
     groundspeed: NDArray[np.float64]
     vertical_rate: NDArray[np.float64]
     track_deg: NDArray[np.float64]
-    reordered: int = 0
+    unsorted: int = 0
+    unit_by_name: bool = True
 
 
 def read_track(
     path: str | Path,
     *,
-    altitude_unit: Literal["ft", "m"] | None = None,
+    altitude_unit: str | None = None,
     aircraft: str | None = None,
 ) -> RawTrack:
     """Read a recorded track from a CSV, Parquet, JSON or JSON Lines file, compressed or not.
-    `altitude_unit`: unit of the altitude column; by default that of its name, feet for `altitude`;
-    `aircraft`: address of the one that is wanted. A `spoofgym.data.tracks.FileError` says what is
-    wrong with the file."""
+    `altitude_unit`: unit of the altitude column; by default by its name, see `QUANTITIES`;
+    `aircraft`: the one to take of several. A `spoofgym.data.tracks.FileError` says what is wrong
+    with the file."""
     path = Path(path)
     if find_spec("pandas") is None:
         raise ImportError("reading tracks needs pandas and pyarrow: pip install spoofgym[flights]")
@@ -157,7 +166,7 @@ def read_track(
     except ImportError:
         raise
     except Exception as error:  # parsers raise what they like
-        raise FileError(f"{path} can't be read as {kind.upper()}: {error}") from error
+        raise FileError(f"{path} can't be read as {kind.upper()}: {first_line(error)}") from error
     stem = path.name.split(".", 1)[0]
     try:
         return track_from_frame(frame, stem, altitude_unit=altitude_unit, aircraft=aircraft)
@@ -165,20 +174,18 @@ def read_track(
         raise FileError(f"{path}: {error}") from error
 
 
+def first_line(error: Exception) -> str:
+    """What a parser says, without its advice."""
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
 def _frame(content: bytes, kind: str) -> pandas.DataFrame:
     import pandas
 
     if kind == "csv":
-        return _read_csv(content.decode("utf-8-sig", errors="replace"))
-    if kind in {"json", "jsonl", "ndjson"}:
-        text = content.decode("utf-8-sig")
-        try:
-            found = json.loads(text)
-        except json.JSONDecodeError as error:
-            if "\n" not in text.strip() or "Extra data" not in error.msg:
-                raise
-            found = [json.loads(line) for line in text.splitlines() if line.strip()]
-        return _tabulate(found)
+        return _read_csv(content)
+    if kind.endswith("json") or kind == "jsonl":
+        return pandas.DataFrame(_read_json(_decode(content), kind != "json"))
     from pyarrow.parquet import read_metadata
 
     about = read_metadata(BytesIO(content))
@@ -187,191 +194,212 @@ def _frame(content: bytes, kind: str) -> pandas.DataFrame:
     return pandas.read_parquet(BytesIO(content))
 
 
-def _read_csv(text: str) -> pandas.DataFrame:
-    """Table of a text with commas, semicolons or tabs."""
+def _decode(content: bytes) -> str:
+    wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    return content.decode("utf-16" if wide else "utf-8-sig")
+
+
+def _read_csv(content: bytes) -> pandas.DataFrame:
+    """Columns apart by commas, semicolons, tabs or bars; with others than commas, there may be
+    commas for points. Names of aircraft stay text: 4e5432 is no number."""
     import pandas
 
-    if not text.strip():
+    text = _decode(content)
+    head = next((line for line in text.splitlines() if line.strip()), "")
+    if not head:
         return pandas.DataFrame()
-    head = text.lstrip().split("\n", 1)[0]
-    separator = max(",;\t", key=head.count)
-    frame = pandas.read_csv(StringIO(text), sep=separator, skipinitialspace=True)
-    if separator == ";":  # where the comma may be the decimal one
-        for name in frame.select_dtypes(exclude="number"):
-            numbers = frame[name].astype("string").str.replace(",", ".", regex=False)
-            numbers = pandas.to_numeric(numbers, errors="coerce")
-            if numbers.notna().sum() == frame[name].notna().sum():
-                frame[name] = numbers
-    return frame
+    apart = max(",;\t|", key=head.count)
+    names = pandas.read_csv(StringIO(text), sep=apart, nrows=0).columns
+    kinds = {name: str for name in names if _plain_name(name) in AIRCRAFT}
+    return pandas.read_csv(
+        StringIO(text), sep=apart, dtype=kinds, decimal="." if apart == "," else ",",
+        skipinitialspace=True, low_memory=False,
+    )  # fmt: skip
 
 
-def _tabulate(found: Any) -> pandas.DataFrame:
-    """Table of records in one of the forms that services write."""
-    import pandas
-
-    if isinstance(found, list) and found and all(isinstance(each, dict) for each in found):
-        parts = [_find_rows(each) for each in found]
-        if any(part is not None for part in parts):
-            return pandas.DataFrame([row for part in parts for row in part or ()])
-    elif isinstance(found, dict) and (rows := _find_rows(found)) is not None:
-        return pandas.DataFrame(rows)
+def _read_json(text: str, by_line: bool) -> Any:
+    """Rows of a JSON text, or columns by name."""
+    if by_line:
+        lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+        found = []
+        for number, line in lines:
+            try:
+                found.append(json.loads(line))
+            except ValueError as error:
+                raise ValueError(f"line {number} is no JSON: {error}") from error
+    else:
+        found = json.loads(text)
     if not isinstance(found, (list, dict)):
         raise ValueError("it must hold a list of records or columns by name")
-    return pandas.DataFrame(found)
+    return found if _is_columns(found) else list(_rows(found, {}))
 
 
-def _find_rows(found: Mapping[str, Any]) -> list[dict[str, Any]] | None:
-    """Records of an answer of OpenSky, readsb or Flightradar24; None where it is none of them."""
-    about, when = found, found.get("now", found.get("time"))
-    if isinstance(states := found.get("states"), list) and when is not None:
-        return [
-            {"time": when, **dict(zip(STATE_VECTOR, each, strict=False))} for each in states or ()
-        ]
-    if isinstance(path := found.get("path"), list):
-        return [
-            {**dict(zip(PATH, each, strict=False)), "icao24": about.get("icao24")} for each in path
-        ]
-    if isinstance(trace := found.get("trace"), list) and "timestamp" in found:
-        rows = [dict(zip(TRACE, each, strict=False)) for each in trace]
-        return [{**row, "time": found["timestamp"] + row.pop("offset")} for row in rows]
-    if isinstance(several := found.get("aircraft"), list) and when is not None:
-        seen = [each for each in several if "lat" in each]
-        age = "seen_pos"
-        return [{**each, "time": when, "position_time": when - each.get(age, 0.0)} for each in seen]
-    flight = found
-    for name in ("result", "response", "data", "flight"):
-        flight = flight[name] if isinstance(flight.get(name), dict) else flight
-    if isinstance(points := flight.get("track"), list) and points and isinstance(points[0], dict):
-        return [_flatten_point(each) for each in points]
-    return None
+def _is_columns(found: Any) -> bool:
+    """Whether it is columns by name, of numbers or text."""
+    return isinstance(found, dict) and all(
+        isinstance(x, (list, dict)) and not any(isinstance(y, (list, dict)) for y in _items(x))
+        for x in found.values()
+    )
 
 
-def _flatten_point(point: Mapping[str, Any]) -> dict[str, Any]:
-    """Point of Flightradar24, its quantities by unit, in those that the columns have."""
-    units = {"altitude": "feet", "speed": "kts", "verticalSpeed": "fpm"}
-    return {
-        name: value.get(units.get(name)) if isinstance(value, dict) else value
-        for name, value in point.items()
-    }
+def _items(found: Any) -> Any:
+    return found.values() if isinstance(found, dict) else found
+
+
+def _rows(found: Any, above: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Rows of records, and of the answers of services, which nest them; what stands above rows,
+    such as the time of all, holds for each."""
+    for item in found if isinstance(found, list) else [found]:
+        if not isinstance(item, dict):
+            raise ValueError(f"a row must be an object with names, got {str(item)[:40]!r}")
+        item = {str(key).strip().lower(): value for key, value in item.items()}
+        key = next((key for key in ROWS if _holds_rows(key, item)), None)
+        if key is None:
+            yield _flat_row(above | item)
+            continue
+        own = above | {x: y for x, y in item.items() if not isinstance(y, (list, dict))}
+        rows = item[key] or []
+        if key in NAMELESS and isinstance(rows, list):
+            rows = [
+                dict(zip(NAMELESS[key], row, strict=False)) if isinstance(row, list) else row
+                for row in rows
+            ]
+        yield from _rows(rows, own)
+
+
+def _holds_rows(key: str, item: dict[str, Any]) -> bool:
+    value = item.get(key)
+    if isinstance(value, list):
+        return all(isinstance(row, (list, dict)) for row in value)
+    silent = key == "states" and key in item and value is None  # OpenSky heard nothing
+    return silent or (key in NESTS and isinstance(value, dict))
+
+
+def _flat_row(row: dict[str, Any]) -> dict[str, Any]:
+    """A row in one unit, with the time of its position where only the age of it is given."""
+    for key, value in row.items():
+        if isinstance(value, dict):
+            row[key] = next((value[unit] for unit in MEANT if unit in value), None)
+    if "after_s" in row:
+        row["timestamp"] = row.get("timestamp", math.nan) + row["after_s"]
+    now, age = row.get("now"), row.get("seen_pos")
+    if isinstance(now, (int, float)) and isinstance(age, (int, float)):
+        row["position_time"] = now - age * (1e3 if now > 1e11 else 1.0)
+    return {key: value for key, value in row.items() if not isinstance(value, list)}
+
+
+def _plain_name(name: Any) -> str:
+    """A column's name in the words of `QUANTITIES`: "Altitude (ft)" is altitude_ft."""
+    return re.sub(r"[^a-z0-9]+", "_", str(name).lower()).strip("_") or str(name)
 
 
 def track_from_frame(
     frame: pandas.DataFrame,
     name: str,
     *,
-    altitude_unit: Literal["ft", "m"] | None = None,
+    altitude_unit: str | None = None,
     aircraft: str | None = None,
 ) -> RawTrack:
-    """Take a recorded track from a table with one row per report. `altitude_unit`: unit of the
-    altitude column; by default feet, unless its name ends in _m."""
+    """Take a recorded track from a table with one row per report, see `read_track`; rows are
+    sorted by time."""
     if altitude_unit is not None:
         check_word("altitude_unit", altitude_unit, UNITS)
-    frame = frame.rename(columns=lambda column: str(column).strip().strip("\"'").lower())
+    frame = frame.rename(columns=_plain_name)
     require(not frame.empty, f"a track must have rows, got none in {name!r}")
-    frame = _split_positions(frame)
-    frame = _one_aircraft(frame, aircraft)
-    required = {"time": TIME} | {
-        quantity: tuple(QUANTITIES[quantity]) for quantity in ("latitude", "longitude", "altitude")
-    }
-    _check_columns(frame, required)
+    frame = _one_aircraft(_split_position(frame), aircraft)
+    used = {quantity: _find_column(frame, names) for quantity, names in QUANTITIES.items()}
+    _check_columns(frame, used)
     time = _seconds(frame, TIME)
-    _check_times(time)
-    order = np.argsort(time, kind="stable")
-    reordered = int((time < np.maximum.accumulate(time)).sum())
-    frame, time = frame.iloc[order], time[order]
     position_time = _seconds(frame, POSITION_TIME)
+    position_time[position_time == 0.0] = np.nan  # never heard
+    _check_times(time)
     _check_range("time", time, *TIMES, "s")
     _check_range("position time", position_time, *TIMES, "s")
-    columns = {quantity: _numbers(frame, names) for quantity, names in QUANTITIES.items()}
     if altitude_unit is not None:
-        factor = UNITS[altitude_unit]
-        columns["altitude"] = _numbers(frame, dict.fromkeys(QUANTITIES["altitude"], factor))
-    _refuse_swapped(columns["latitude"], columns["longitude"])
+        used["altitude"] = (used["altitude"] or ("",))[0], UNITS[altitude_unit]
+    columns = {quantity: _numbers(frame, column) for quantity, column in used.items()}
     for quantity, valid in RANGES.items():
         _check_range(quantity, columns[quantity], *valid)
+    order = np.argsort(time, kind="stable")
+    latitude, longitude, *others = (columns[quantity][order] for quantity in QUANTITIES)
+    altitude, groundspeed, track, vertical_rate = others
     return RawTrack(
         name,
-        time,
-        position_time,
-        np.radians(columns["latitude"]),
-        np.radians(columns["longitude"]),
-        columns["altitude"],
-        columns["groundspeed"],
-        columns["vertical_rate"],
-        columns["track"],
-        reordered,
+        time[order],
+        position_time[order],
+        np.radians(latitude),
+        np.radians(longitude),
+        altitude,
+        groundspeed,
+        vertical_rate,
+        track,
+        unsorted=int((time < np.maximum.accumulate(time)).sum()),
+        unit_by_name=altitude_unit is None,
     )
 
 
-def _refuse_swapped(latitude: NDArray[np.float64], longitude: NDArray[np.float64]) -> None:
-    """Raise where most latitudes are none, while all longitudes could be."""
-    beyond = np.abs(latitude[np.isfinite(latitude)]) > 90.0
-    if beyond.size and beyond.mean() > 0.5 and np.nanmax(np.abs(longitude), initial=0.0) <= 90.0:
-        raise ValueError(
-            f"`latitude` must lie between -90 and 90 deg, and {beyond.sum()} of {beyond.size} do "
-            "not: latitude and longitude seem to be swapped"
-        )
+def _split_position(frame: pandas.DataFrame) -> pandas.DataFrame:
+    """A column "46.1,8.2" of Flightradar24 as two."""
+    if "position" not in frame or {"latitude", "lat"} & {*frame}:
+        return frame
+    parts = frame["position"].astype(str).str.extract(r"^\s*([^,;\s]+)[,;\s]+([^,;\s]+)\s*$")
+    return frame.assign(latitude=parts[0], longitude=parts[1])
 
 
-def _split_positions(frame: pandas.DataFrame) -> pandas.DataFrame:
-    """Columns of latitude and longitude of one that holds both, as Flightradar24 writes it."""
-    if "position" not in frame or "latitude" in frame or "lat" in frame:
-        return frame
-    both = frame["position"].astype("string").str.split(",", n=1, expand=True)
-    if both.shape[1] != 2:
-        return frame
-    return frame.assign(latitude=both[0].str.strip(), longitude=both[1].str.strip())
+def _find_column(frame: pandas.DataFrame, names: Mapping[str, float]) -> tuple[str, float] | None:
+    """The first column of a quantity that isn't empty, and what its unit is in SI units."""
+    found = [
+        (column, factor if unit is None else FACTORS[unit])
+        for name, factor in names.items()
+        for unit in (*FACTORS, None)
+        if (column := name if unit is None else f"{name}_{unit}") in frame
+    ]
+    held = [each for each in found if frame[[each[0]]].notna().to_numpy().any()]
+    return next(iter(held or found), None)
 
 
 def _one_aircraft(frame: pandas.DataFrame, aircraft: str | None) -> pandas.DataFrame:
     column = next((name for name in AIRCRAFT if name in frame), None)
     if column is None:
-        require(aircraft is None, f"no column ({', '.join(AIRCRAFT)}) names the aircraft")
+        require(aircraft is None, f"`aircraft` needs a column for it: {', '.join(AIRCRAFT)}")
         return frame
-    address = frame[column].astype("string").str.strip().str.lower()
-    found = address.value_counts().index.tolist()  # the one with most rows first
-    if aircraft is None and len(found) > 1:
+    names = frame[column].astype(str).str.strip().where(frame[column].notna(), "")
+    found = [name for name in names.unique() if name]
+    wanted = next((x for x in found if x.lower() == str(aircraft).strip().lower()), None)
+    if len(found) > 1 if aircraft is None else wanted is None:
+        offered = f"{', '.join(found[:10])}{', ...' if len(found) > 10 else ''}"
+        got = "none" if aircraft is None else repr(aircraft)
         raise ValueError(
-            f"the file holds {len(found)} aircraft: `aircraft` must be one of "
-            f"{', '.join(found[:10])}, got none"
+            f"`aircraft` must be one of {offered}, got {got}; the command takes it by --aircraft"
         )
-    if aircraft is None:
-        return frame
-    if (wanted := aircraft.strip().lower()) not in found:
-        raise ValueError(f"`aircraft` must be one of {', '.join(found[:10])}, got {aircraft!r}")
-    return frame[(address == wanted).to_numpy(dtype=bool, na_value=False)]
+    return frame if aircraft is None else frame[names == wanted]
 
 
-def _check_columns(frame: pandas.DataFrame, required: Mapping[str, tuple[str, ...]]) -> None:
+def _check_columns(frame: pandas.DataFrame, used: Mapping[str, tuple[str, float] | None]) -> None:
     if (twice := frame.columns[frame.columns.duplicated()]).size:
         raise ValueError(f"a track must have each column once, got {twice[0]!r} twice")
-    missing = {
-        quantity: names
-        for quantity, names in required.items()
-        if not any(name in frame for name in names)
-    }
-    if missing:
-        wanted = "; ".join(f"{key} ({', '.join(names)})" for key, names in missing.items())
+    wanted = {"time": TIME, **{key: (*QUANTITIES[key],) for key in REQUIRED}}
+    there = {key for key, column in used.items() if column}
+    there |= {"time" for name in TIME if name in frame}
+    if missing := [f"{key} ({', '.join(x)})" for key, x in wanted.items() if key not in there]:
         raise ValueError(
-            f"a track must have columns for {wanted}, got {', '.join(map(str, frame.columns))}"
+            f"a track must have columns for {'; '.join(missing)}, got "
+            f"{', '.join(map(str, frame.columns))}"
         )
 
 
-def _numbers(frame: pandas.DataFrame, factors: Mapping[str, float]) -> NDArray[np.float64]:
-    for name, factor in factors.items():
-        if name in frame:
-            column = frame
-            if factor == FOOT and (frame[name].astype("string") == GROUND).any():
-                column = frame.assign(**{name: frame[name].replace(GROUND, 0.0)})
-            return _as_numbers(column, name) * factor
-    return np.full(len(frame), math.nan)
+def _numbers(frame: pandas.DataFrame, column: tuple[str, float] | None) -> NDArray[np.float64]:
+    if column is None:
+        return np.full(len(frame), math.nan)
+    return _as_numbers(frame, column[0]) * column[1]
 
 
 def _as_numbers(frame: pandas.DataFrame, name: str) -> NDArray[np.float64]:
     import pandas
 
     try:
-        values: NDArray[np.float64] = pandas.to_numeric(frame[name]).to_numpy(
+        column = frame[name].replace({"ground": 0.0, "": None})  # of readsb, and of CSV
+        values: NDArray[np.float64] = pandas.to_numeric(column).to_numpy(
             dtype=np.float64, na_value=math.nan
         )
     except (ValueError, TypeError, OverflowError) as error:
@@ -392,30 +420,25 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
         try:
             values = _as_numbers(frame, name)
         except ValueError:
-            column = column.astype("string")
+            column = column.astype("string").str.removesuffix(" UTC")
         else:
+            low, high = np.nanmin(values, initial=math.inf), np.nanmax(values, initial=0.0)
+            if DAYS[0] < low <= high < min(DAYS[1], low + 2.0) and len(values) > 2:
+                raise ValueError(
+                    f"`{name}` must hold seconds since 1970 or ISO 8601 times, got {low:.6f}, "
+                    "which looks like days of a spreadsheet"
+                )
             size = float(np.nanmax(np.abs(values), initial=0.0))
-            _refuse_days(name, values)
             per_second = 1e9 if size > 1e17 else 1e6 if size > 1e14 else 1e3 if size > 1e11 else 1.0
             return values / per_second
     try:
         moments = pandas.to_datetime(column, utc=True, format="ISO8601")
     except (ValueError, TypeError, OverflowError) as error:
-        raise ValueError(f"`{name}` must hold numbers or ISO 8601 times: {error}") from error
+        raise ValueError(
+            f"`{name}` must hold numbers or ISO 8601 times: {first_line(error)}"
+        ) from error
     epoch = pandas.Timestamp(0, tz="UTC")
     return np.asarray((moments - epoch).dt.total_seconds().to_numpy(np.float64))
-
-
-def _refuse_days(name: str, values: NDArray[np.float64]) -> None:
-    """Raise where times can only be days, as spreadsheets count them."""
-    finite = values[np.isfinite(values)]
-    if finite.size < 2 or not (EXCEL_DAYS[0] < finite.min() and finite.max() < EXCEL_DAYS[1]):
-        return
-    if np.median(np.abs(np.diff(finite))) < MINUTE / DAY:
-        raise ValueError(
-            f"`{name}` must be in seconds, milliseconds or ISO 8601, got {finite[0]:.10g} and "
-            f"{finite[-1]:.10g}: these look like the days of a spreadsheet"
-        )
 
 
 def _check_times(time: NDArray[np.float64]) -> None:
@@ -429,4 +452,5 @@ def _check_range(name: str, value: NDArray[np.float64], low: float, high: float,
         raise ValueError(
             f"`{name}` must lie between {low:.10g} and {high:.10g} {unit}, got "
             f"{value[outside[0]]:.10g} {unit} in row {outside[0] + 1}"
+            + ("; are latitude and longitude swapped?" if name == "latitude" else "")
         )

@@ -276,7 +276,7 @@ def see_satellites(
     elevation, _ = look_angles(states.position_e, position_e, C_en)
     usable = np.isfinite(states.position_e).all(-1) & np.isfinite(states.velocity_e).all(-1)
     visible = usable & (elevation > np.radians(mask_deg))
-    chosen, ids, seen = fill_slots(constellation, visible, channels, mask_deg)
+    chosen, ids, seen = fill_slots(constellation, time, visible, channels, mask_deg)
     satellites = np.zeros((len(time), channels, 8))
     satellites[:, :, :3] = _in_slots(states.position_e, chosen, channels)
     satellites[:, :, 3:6] = _in_slots(states.velocity_e, chosen, channels)
@@ -285,20 +285,29 @@ def see_satellites(
 
 
 def fill_slots(
-    constellation: Constellation, visible: NDArray[np.bool_], channels: int, mask_deg: float
+    constellation: Constellation,
+    time: FloatArray,
+    visible: NDArray[np.bool_],
+    channels: int,
+    mask_deg: float,
 ) -> tuple[list[int], tuple[str, ...], NDArray[np.bool_]]:
     """Satellites that get a slot, the ids of all slots, and (K, n) whether each is visible;
-    `visible` (K, S) of all satellites."""
+    `visible` (K, S) of all satellites. Fewer than 4 are refused at time zero, and at any time
+    where the constellation can `explain_loss`: where its orbits are recorded, and may end."""
     epochs = visible.sum(axis=0)
     longest = np.argsort(-epochs, kind="stable")[:channels]
     chosen = sorted(int(i) for i in longest if epochs[i] > 0)
     ids = tuple(constellation.satellite_ids[i] for i in chosen)
     ids += ("",) * (channels - len(chosen))
     seen = _in_slots(visible, chosen, channels).astype(np.bool_)
-    if seen[0].sum() < 4:
+    explain = getattr(constellation, "explain_loss", None)
+    count = seen.sum(axis=1) if explain else seen[:1].sum(axis=1)
+    if (few := np.flatnonzero(count < 4)).size:
+        k = int(few[0])
         raise ValueError(
-            f"only {seen[0].sum()} satellites are above {mask_deg:g} deg at time zero; "
-            "a first fix needs 4"
+            f"only {count[k]} satellites are above {mask_deg:g} deg at "
+            f"{f'{time[k]:g} s' if k else 'time zero'}; a {'' if k else 'first '}fix needs 4"
+            + (explain(float(time[k])) if explain else "")
         )
     return chosen, ids, seen
 

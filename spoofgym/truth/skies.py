@@ -81,7 +81,7 @@ def look_up(
 ) -> SkyFacts:
     """Facts of a world. `time` (K,) of its epochs [s]; `position_e` (K, 3) there [m]."""
     visible = find_visible(constellation, time, position_e, np.radians(mask_deg))
-    chosen, ids, seen = fill_slots(constellation, visible, channels, mask_deg)
+    chosen, ids, seen = fill_slots(constellation, time, visible, channels, mask_deg)
     first = np.argmax(seen, axis=0)[: len(chosen)]
     elevation, _, _ = _look(constellation, time[first], position_e[first])
     heights = np.full(channels, np.pi / 2)

@@ -124,6 +124,31 @@ def test_version_3_says_the_same_and_other_constellations_are_left_out_and_told(
     assert "E 1, R 2" in caplog.text
 
 
+def test_version_4_gives_its_legacy_orbits_and_leaves_out_all_other_frames(written):
+    g05, g12 = to_version_3(G05), to_version_3(G12)
+    frames = {
+        "STO G05 LNAV": "    2024 09 14 22 00 00 GPUT\n     0.594E+06 0.1D-08 0.1D-14 0.0D+00\n",
+        "EPH G05 LNAV": g05,
+        "EPH G05 CNAV": g05 + "     0.1E+01\n",
+        "ION G05 LNAV": "    2024 09 14 22 00 00 0.1E-07 0.1E-07 0.1E-07\n     0.1E+06\n",
+        "EPH R07 FDMA": R07,
+        "EPH G12 LNAV": g12,
+        "EOP J01 CNAV": "    2024 09 14 22 00 00 0.1E-07\n     0.1E+06\n     0.1E+06\n",
+    }
+    text = "".join(f"> {title}\n{lines}" for title, lines in frames.items())
+    found = read_navigation(written(HEADER_3.replace("3.04", "4.01") + text))
+    assert same(found, read_navigation(written(HEADER_2 + G05 + G12)))
+
+
+def test_a_blank_field_drops_a_record_only_where_orbits_need_it(written):
+    for field in ("-0.150000000000D-03", " 0.630000000000D+02-0.9", "-0.110000000000D-07"):
+        found = read_navigation(written(HEADER_2 + G05.replace(field[:19], 19 * " ", 1)))
+        assert found.root_semi_major_axis.tolist() == [5153.7]
+    blank = written(HEADER_2 + G12 + G05.replace(" 0.700000000000D+00", 19 * " "))
+    with pytest.warns(RuntimeWarning, match=r"line 13: `mean_anomaly` must be a number, got ''"):
+        assert read_navigation(blank).satellite_ids == ("G12",)
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -153,7 +178,11 @@ def test_habits_of_writers(written, old, new):
     ("old", "new", "said"),
     [
         ("".join(G05.splitlines(True)[5:]), "", "line 13: a record has 8 lines, got 5"),
-        ("0.700000000000D+00", "0.7000000x0000D+00", "line 13: could not convert"),
+        (
+            "0.700000000000D+00",
+            "0.7000000x0000D+00",
+            "line 13: `mean_anomaly` must be a number, got",
+        ),
         ("0.120000000000D-01", "0.120000000000D+00", r"`eccentricity` .* 0 to 0\.03, got 0\.12"),
         ("0.515370000000D+04", "0.000000000000D+00", "`root_semi_major_axis` .* 2530 to 8192, got"),
         ("0.597600000000D+06", "0.999999999999D+09", "`second_of_week` .* 0 to 604800, got 1e"),
@@ -175,7 +204,7 @@ def test_malformed_records_are_left_out_with_a_warning(written, old, new, said):
         ("", "is not a RINEX file"),
         ("#cP2010  7  1  0  0  0.00000000      96 ORBIT IGS05 HLM  IGS\n", "begins with '#cP2010"),
         (HEADER_2.replace("N: GPS NAV DATA ", "OBSERVATION DATA"), "got type 'OBSERVATION DATA'"),
-        (HEADER_3.replace("3.04", "5.00"), "version 5.00, valid are 2 to 4"),
+        (HEADER_3.replace("3.04", "5.00"), "version 5.00, valid are 2, 3 and 4"),
         (HEADER_2[: HEADER_2.index("        END")] + "\n" + G05, "header has no end"),
         (HEADER_2 + G05[:99], r"1 malformed GPS records \(the first at line 5: a record has 8"),
         (HEADER_3 + R07, "no usable GPS satellite: 0 malformed GPS records, 1 records of other"),

@@ -11,6 +11,7 @@ from spoofgym.data.ephemerides import (
     SECONDS_PER_WEEK,
     Ephemerides,
     gps_seconds,
+    join_ephemerides,
 )
 
 HOUR = 3600.0
@@ -42,8 +43,7 @@ def one_record(satellite="G05", toe=SATURDAY_22, /, **changes):
 
 
 def joined(*records):
-    names = [field.name for field in fields(Ephemerides)]
-    return Ephemerides(**{n: np.concatenate([getattr(r, n) for r in records]) for n in names})
+    return join_ephemerides(records)
 
 
 def later(record, by, **changes):
