@@ -125,6 +125,8 @@ def find_mistaken_course(
         ("courses are in radians", track_deg, made),
         ("courses are where the aircraft comes from", recorded + math.pi, made),
         ("courses are counted from east, to the left", math.pi / 2.0 - recorded, made),
+        ("latitudes have lost their sign (south is negative)", math.pi - recorded, made),
+        ("longitudes have lost their sign (west is negative)", -recorded, made),
     ]
     for words, course, seen in causes:
         off = np.abs(wrap(course - seen.course))

@@ -364,6 +364,9 @@ def _one_aircraft(frame: pandas.DataFrame, aircraft: str | None) -> pandas.DataF
         require(aircraft is None, f"`aircraft` needs a column for it: {', '.join(AIRCRAFT)}")
         return frame
     names = frame[column].astype(str).str.strip().where(frame[column].notna(), "")
+    place = next((name for name in ("latitude", "lat") if name in frame), None)
+    if place is not None and frame.columns.is_unique:
+        names = names.where(frame[place].notna(), "")  # others are heard, and seen nowhere
     found = [name for name in names.unique() if name]
     wanted = next((x for x in found if x.lower() == str(aircraft).strip().lower()), None)
     if len(found) > 1 if aircraft is None else wanted is None:
