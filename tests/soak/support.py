@@ -10,7 +10,6 @@ import hypothesis
 import numpy as np
 from hypothesis.stateful import RuleBasedStateMachine, run_state_machine_as_test
 
-
 MINUTES = "SPOOFGYM_SOAK_MINUTES"
 PARTS = 2
 """Nightly tests that share these minutes."""

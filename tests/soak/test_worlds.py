@@ -26,9 +26,13 @@ DETECTOR_NAMES = sorted(
     for name, kind in DETECTORS.items()
     if kind.measures in ("satellites", "any") and name != "pool"
 )
-SIZES = st.sampled_from([1e-3, 1.0, 1e3, 3e5, 1e9, -1e9])
+SIZES = st.sampled_from([0.0, 1.0, 160.0, -160.0, 3e5, 1e9, -1e9])
 COUNTS = st.integers(1, 12)
 SEEDS = st.integers(0, 2**31)
+KINDS = st.sampled_from(["set", "gap", "saturated", "clock", "ranges"])
+CHANNELS = st.sets(st.integers(0, 11), min_size=1)
+FAULTS = st.tuples(KINDS, SIZES, COUNTS, CHANNELS)
+"""What happens, its size [m] or [m/s^2], for how many epochs, and to which satellites."""
 
 
 class Faults(RuleBasedStateMachine):
@@ -55,29 +59,20 @@ class Faults(RuleBasedStateMachine):
         return int(self.simulator.epochs[0])
 
     @precondition(lambda self: self.tight)
-    @rule(count=COUNTS, channels=st.sets(st.integers(0, 11), min_size=1))
-    def satellites_set(self, count, channels):
-        hide_satellites(self.core.setup.world, self.epoch, count, sorted(channels))
-
-    @precondition(lambda self: self.tight)
-    @rule(count=COUNTS)
-    def a_gap(self, count):
-        hide_satellites(self.core.setup.world, self.epoch, count, slice(None))
-
-    @precondition(lambda self: self.tight)
-    @rule(count=COUNTS, level=st.sampled_from([0.0, 160.0, -160.0]))
-    def sensors_saturate(self, count, level):
-        saturate_sensors(self.core.setup.world, self.epoch, count, level)
-
-    @precondition(lambda self: self.tight)
-    @rule(size=SIZES)
-    def the_clock_jumps(self, size):
-        shift_field(self.simulator, "clock", np.array([size, 0.0]))
-
-    @precondition(lambda self: self.tight)
-    @rule(size=SIZES, channel=st.integers(0, 11))
-    def a_range_is_off(self, size, channel):
-        shift_field(self.simulator, "satellite_bias", size * (np.arange(12) == channel))
+    @rule(fault=FAULTS)
+    def happen(self, fault):
+        kind, size, count, channels = fault
+        world, channels = self.core.setup.world, sorted(channels)
+        if kind == "set":
+            hide_satellites(world, self.epoch, count, channels)
+        elif kind == "gap":
+            hide_satellites(world, self.epoch, count, slice(None))
+        elif kind == "saturated":
+            saturate_sensors(world, self.epoch, count, size)
+        elif kind == "clock":
+            shift_field(self.simulator, "clock", np.array([size, 0.0]))
+        else:
+            shift_field(self.simulator, "satellite_bias", size * np.isin(np.arange(12), channels))
 
     def refuse(self, refused):
         self.seen = []
@@ -174,6 +169,17 @@ class Played(Faults):
         levels = {"spoofer": 0.0, "detector": -1.0, whose: np.nan}
         with pytest.raises(ValueError, match="an action must be finite and in"):
             self.env.step(self.actions(**levels))
+
+
+def test_a_receiver_that_runs_away_is_refused_before_the_detector_of_a_duel_sees_it():
+    env = parallel(**PAPERS, weighs=False, timeline=DUEL_SHORT)
+    env.reset(seed=1)
+    duel = env.unwrapped.duel
+    duel.decide(np.full((1, 1), -1.0))
+    duel.core.engine.simulator.buffers.fields.put("velocity_e", [0], [[1e11, 0.0, 0.0]])
+    with pytest.raises(FilterDiverged, match="has diverged at"):
+        duel.arrive(np.zeros((1, 2)))
+    env.close()
 
 
 @pytest.mark.parametrize("machine", [Attacked, Played])
