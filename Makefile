@@ -1,4 +1,4 @@
-# spoofgym needs Python 3.11 to 3.13; choose one with `make PYTHON=python3.12 bench`.
+# spoofgym needs Python 3.11 or newer; choose one with `make PYTHON=python3.12 bench`.
 PYTHON ?= python3
 VENV   ?= .venv
 
@@ -9,6 +9,9 @@ VENV_RAY ?= .venv-ray
 
 # Processes that share the tests, file by file.
 WORKERS ?= auto
+
+# The minutes of make soak.
+SOAK_MINUTES ?= 10
 
 # What each target needs beside the library itself.
 extras_bench := flights,limits,report
@@ -23,7 +26,7 @@ tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tes
 
 .DEFAULT_GOAL := help
 bench_detectors = $(addprefix --detector ,solution-separation:filter=augmented,spacing=geometric aime:signals=range_rate)
-.PHONY: help venv bench test test-nightly test-cpus test-ray check docs perf benchmarks train learn
+.PHONY: help venv bench test test-nightly test-cpus test-pythons test-ray soak release check docs perf benchmarks train learn
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
@@ -41,6 +44,17 @@ test-nightly: $(VENV)/.installed-test ## the long lists, with all that the pages
 
 test-cpus: $(VENV)/.installed-test ## test on other kinds of processors that the same bits come out; some with ARGS="haswell znver4"
 	$(python) -m tests.cpus $(ARGS)
+
+test-pythons: ## all tests, on every Python of this machine, each in an environment .venv-3.N
+	@set -e; for each in 3.11 3.12 3.13 3.14; do \
+	  if python$$each --version >/dev/null 2>&1; then $(MAKE) PYTHON=python$$each VENV=.venv-$$each test; \
+	  else echo "python$$each is not here: not run"; fi; done
+
+soak: $(VENV)/.installed-test ## wear engine, environments, duel and results down by drawn faults; SOAK_MINUTES=30
+	SPOOFGYM_SOAK_MINUTES=$(SOAK_MINUTES) $(python) -m pytest tests/soak --nightly $(ARGS)
+
+release: ## build sdist and wheel, try both in clean environments, and print what is left to do by hand
+	$(PYTHON) -m tools.release $(ARGS)
 
 test-ray: $(VENV_RAY)/.installed ## test RLlib and the oldest Gymnasium, in an environment of its own
 	$(VENV_RAY)/bin/python -m pytest $(tests_ray) $(ARGS)
@@ -83,8 +97,8 @@ $(VENV_RAY)/.installed: pyproject.toml constraints.txt constraints-ray.txt | $(V
 	@touch $@
 
 $(VENV)/bin/python $(VENV_RAY)/bin/python:
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || { \
-	  echo "spoofgym needs Python 3.11 to 3.13, and $(PYTHON) is:" >&2; \
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "spoofgym needs Python 3.11 or newer, and $(PYTHON) is:" >&2; \
 	  $(PYTHON) --version >&2; \
 	  echo "choose another one: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 1; }
 	$(PYTHON) -m venv $(@:/bin/python=) || { rm -rf $(@:/bin/python=); exit 1; }

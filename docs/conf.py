@@ -18,7 +18,7 @@ from sphinx.addnodes import desc_annotation
 import spoofgym
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = {"README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs"}
+PAGES = {"README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "docs"}
 CONTENTS = """
 ```{toctree}
 :hidden:
@@ -50,6 +50,7 @@ docs/worlds
 docs/calibration
 docs/audit
 docs/isolation
+docs/promises
 docs/scores
 docs/limits
 docs/checks
@@ -70,6 +71,7 @@ docs/tree
 docs/performance
 docs/api/README
 CONTRIBUTING
+SECURITY
 CHANGELOG
 ```
 """

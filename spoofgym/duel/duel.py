@@ -232,6 +232,7 @@ class Duel:
         epoch = part.predict(np.ascontiguousarray(command))
         for name, array in idle.items():  # the spoofer's equipment starts at the onset
             part.commands[name][waiting] = array
+        part.check_converged()  # before anything is seen of it
         cast("DetectorAgent", part.detector).look(epoch)
 
     def decide(self, action: FloatArray) -> DuelStep:
