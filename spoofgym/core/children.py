@@ -7,8 +7,10 @@ import os
 import socket
 import struct
 import sys
+import tempfile
 import time
 from contextlib import suppress
+from typing import IO, Any
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 LONGEST = 1 << 31
@@ -49,6 +51,18 @@ def confine_process() -> bool:
     if ruleset >= 0:
         os.close(ruleset)
     return bool(confined)
+
+
+def open_shared_file() -> IO[Any]:
+    """Empty file to map in several processes, which none of them can make shorter, where the
+    system seals files: else one that does ends the others."""
+    if sys.platform != "linux":
+        return tempfile.TemporaryFile()
+    import fcntl
+
+    handle = os.memfd_create("epochs", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    fcntl.fcntl(handle, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_SEAL)
+    return os.fdopen(handle, "r+b")
 
 
 def end_with_parent() -> None:

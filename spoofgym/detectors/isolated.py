@@ -14,7 +14,6 @@ import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import weakref
 from collections.abc import Mapping
@@ -26,7 +25,7 @@ import cloudpickle
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.children import Channel, child_environment
+from ..core.children import Channel, child_environment, open_shared_file
 from ..core.declared import setting, settings_record
 from ..core.memory import Memory
 from ..core.registry import require
@@ -174,7 +173,7 @@ class _Bound:
         self._parent, self._judged = os.getpid(), False
         self._shapes: dict[str, tuple[str, tuple[int, ...]]] = {}
         self._host = _Host.find(self._content, self._limits[1])
-        self._file = tempfile.TemporaryFile()  # noqa: SIM115
+        self._file = open_shared_file()
         self.channel = self._host.fork(self._file.fileno())
         self.end = weakref.finalize(self, _close_all, self.channel.socket, self._file)
         self.sizes = self.request(*self._start)
@@ -238,8 +237,9 @@ class _Bound:
         answers |= {"alarm": ("u1", (b, columns)), "weights": ("f8", (b, m))}
         answers |= {"of_receivers": ("f8", (b,))}
         kind = np.dtype([(name, *each) for name, each in {**shapes, **answers}.items()], align=True)
-        os.ftruncate(self._file.fileno(), kind.itemsize)
-        record = np.ndarray((), kind, mmap(self._file.fileno(), kind.itemsize))
+        handle = self._file.fileno()
+        os.ftruncate(handle, max(kind.itemsize, os.fstat(handle).st_size))  # it may only grow
+        record = np.ndarray((), kind, mmap(handle, kind.itemsize))
         self._arrays = {name: record[name] for name in kind.names or ()}
         self.request("share", kind)
         self._shapes = shapes

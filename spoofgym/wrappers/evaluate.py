@@ -130,6 +130,8 @@ def evaluate_wrapped(
     ``threshold`` is calibrated on as many clean runs of their own: it alarms where their ratio
     exceeds a factor.  One that gives ``alarm`` alone has the rate that it has.
 
+    Wrappers play in this process, which holds the truth: score only those that you trust.
+
     An alarm counts where there is none before the onset, and none at all in the same run without
     the attack; else the run is one without a detector.
 

@@ -9,6 +9,8 @@ import pytest
 import spoofgym
 from spoofgym.bench.experiments import audit as module
 from spoofgym.bench.experiments.audit import BUDGETS, Auditor
+from spoofgym.bench.experiments.runner import run_experiment
+from spoofgym.bench.experiments.store import Store
 from spoofgym.bench.report.audit import LINES, WIDTH, format_screen
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
 from spoofgym.bench.scores.audit import AgeProbe, Audit
@@ -167,6 +169,14 @@ def test_every_warning_stands_where_it_is_earned(audit, message):
     assert json.dumps(audit.as_dict(), allow_nan=False)
 
 
+def test_runs_that_are_all_the_same_leave_an_interval():
+    probe = audit_of(found=0.4).probe
+    q = 1.0 - 0.025 ** (1.0 / 16.0)  # exact, for none of 16 skies
+    assert probe.estimate_missed() == pytest.approx((0.6, 0.6 - 0.6 * q, 0.6 + 0.4 * q))
+    assert probe.compare_ages(1, 0) == pytest.approx((0.0, -q, q))
+    assert audit_of(found=0.0).probe.estimate_share(0) == pytest.approx((0.0, 0.0, q))
+
+
 def test_what_is_as_it_should_be_is_not_warned_of():
     audit = audit_of(
         family("ramps", SPREAD),
@@ -205,6 +215,29 @@ def test_a_whole_audit_of_a_detector_of_ones_own(tmp_path):
     assert {name.rpartition("-")[2] for name in names} == {"ramps", "dashes", "worst"}
     assert found.zero_alarm is None
     assert found.cost_us > 0.0
+
+
+@pytest.mark.parametrize(
+    "passes",
+    [
+        [{"shard": (1, 2)}, {"shard": (2, 2)}],
+        pytest.param([{"jobs": 2}], marks=pytest.mark.nightly),
+    ],
+)
+def test_figures_are_those_of_one_process_in_shards_and_in_several(passes, tmp_path):
+    settings = {"runs": 4, "selection_runs": 4, "families": ["dashes"], "entropy": 0, "threads": 1}
+    plain, auditor = (
+        Auditor(small_task(), "quick", folder=folder, **settings) for folder in (None, tmp_path)
+    )
+    spec = {"name": "snapshot-chi2", "thresholds": "nominal"}
+    expected = plain.prepare(spec)
+    expected = expected.conclude(plain.run(expected))
+    for each in passes:  # the last one reads what the others have finished
+        cells = auditor.prepare(spec)
+        results = run_experiment(cells, Store(auditor.folder), threads=1, **each)
+    assert not results.missing
+    found = cells.conclude(results)
+    assert {**found.as_dict(), "cost_us": 0.0} == {**expected.as_dict(), "cost_us": 0.0}
 
 
 def test_a_quick_audit_scales_everything():

@@ -196,6 +196,10 @@ def test_what_a_detector_writes_to_its_arrays_changes_nothing_outside():
         ("hangs", "hangs", None, "epoch at 1 s of 5 receivers: Fails took longer than 0.5 s"),
         ("leaves", "ends", None, "epoch at 1 s of 5 receivers: Fails ended its process"),
         ("quits", "raises", None, "SystemExit: 3"),
+        pytest.param(
+            *("truncates", "raises", None, "PermissionError"),
+            marks=pytest.mark.skipif(sys.platform != "linux", reason="files are sealed by Linux"),
+        ),
         ("lies", "raises", None, "no valid answer"),
     ],
 )

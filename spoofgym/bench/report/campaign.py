@@ -487,21 +487,30 @@ class WorstRows:
         return [*titles, *lines]
 
 
+def select_reach(row: Row) -> Row | None:
+    """What the worst attack exceeds in half of the runs, or the best one within the budget, of a
+    row with protection."""
+    reach = headline(row["protection"], 0.5) or row["bracket"]["best_attack"]
+    return None if reach is None or reach["value"] is None else reach
+
+
 def state_answer(summary: Row) -> str:
     """The detector that holds attacks tightest, controls apart, in one sentence."""
-    scores = [(row["detector"], headline(row, 0.5) or {}) for row in summary["protection"]]
-    where = "in half of the runs"
-    if not scores:  # the strongest within the alarm budget
-        cells = sorted(summary["cells"], key=lambda x: x["stealthy_displacement_m"]["value"] or 0.0)
-        best = {x["detector"]: {**x["stealthy_displacement_m"], **x} for x in cells}
-        scores, where = [*best.items()], f"in the mean at {100 * summary['budget']:g} % of alarms"
-    own = [each for each in scores if extract_name(each[0]) not in CONTROLS]
-    name, found = min(own or scores, key=lambda each: each[1]["value"] or 0.0)
-    (row,) = (row for row in summary["detectors"] if row["detector"] == name)
+    protections = {row["detector"]: row for row in summary["protection"]}
+    rows = [{**row, "protection": protections.get(row["detector"])} for row in summary["detectors"]]
+    rows = [row for row in rows if not protections or row["protection"]]
+    scores = [(row, reach) for row in rows if (reach := select_reach(row)) is not None]
+    if not scores:
+        return "No score: no run is silent without an attack, or no attack is within the budget."
+    own = [each for each in scores if extract_name(each[0]["detector"]) not in CONTROLS]
+    row, found = min(own or scores, key=lambda each: each[1]["value"])
+    where = f"in the mean at {100 * summary['budget']:g} % of alarms"
+    where = "in half of the runs" if protections else where
     claimed = row["claimed"]
     requested = f" (requested {claimed['false_alarms_per_hour']:g})" if claimed else ""
     return (
-        f"{f'Tightest of {len(own)}: ' if len(own) > 1 else ''}{shorten_label(name)}: "
-        f"{interval(found)} m undetected {where} (worst: {found['spoofer']}), false alarms "
+        f"{f'Tightest of {len(own)}: ' if len(own) > 1 else ''}"
+        f"{shorten_label(row['detector'])}: {interval(found)} m undetected {where} (worst: "
+        f"{found['spoofer']}), false alarms "
         f"{metres(row['false_alarms_per_hour']['value'])}/h{requested}."
     )

@@ -35,6 +35,7 @@ from .campaign import (
     integrity_rows,
     known_spoofers,
     list_notes,
+    select_reach,
 )
 from .figures import (
     SMALLEST_M,
@@ -125,12 +126,6 @@ def _exceeds_claim(row: Row) -> list[str]:
     if claimed is None or not (measured["low"] or 0.0) > claimed["false_alarms_per_hour"]:
         return []
     return [f"false alarms above the claimed rate, {interval(measured)} an hour"]
-
-
-def select_reach(row: Row) -> Row | None:
-    """What the worst attack exceeds in half of the runs, or the best one within the budget."""
-    reach = headline(row["protection"], 0.5) or row["bracket"]["best_attack"]
-    return None if reach is None or reach["value"] is None else reach
 
 
 def _describe_reach(summary: Row, row: Row) -> str:

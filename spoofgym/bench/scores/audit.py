@@ -20,7 +20,7 @@ from .statistics import (
     NOTHING,
     Estimate,
     FloatArray,
-    bootstrap_mean,
+    bounded_mean,
     draw_resamples,
     format_number,
     percentiles,
@@ -72,7 +72,7 @@ class AgeProbe(NamedTuple):
     def compare_ages(self, age: int, other: int) -> Estimate:
         """Part of the ramps that is found at an age less that at another one, paired by runs."""
         both = self.counts[age] & self.counts[other]
-        return self._estimate_mean(self.share[age] - self.share[other], both)
+        return self._estimate_mean(self.share[age] - self.share[other], both, -1.0)
 
     def estimate_missed(self) -> Estimate:
         """Part of the ramps beyond the alert limit with no alarm in time, over all ages."""
@@ -81,8 +81,8 @@ class AgeProbe(NamedTuple):
         late = self.missed.sum(axis=(0, 1)) / np.maximum(crossed, 1)
         return self._estimate_mean(late, rows)
 
-    def _estimate_mean(self, values: FloatArray, rows: Mask) -> Estimate:
-        return bootstrap_mean(values[rows], draw_resamples(select_clusters(self.sky)[rows]))
+    def _estimate_mean(self, values: FloatArray, rows: Mask, least: float = 0.0) -> Estimate:
+        return bounded_mean(values[rows], select_clusters(self.sky)[rows], least)
 
     def exceed_in_half(self) -> list[float | None]:
         """What the farthest of the ramps exceeds in half of the runs at each age [m]."""

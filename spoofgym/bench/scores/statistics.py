@@ -162,6 +162,24 @@ def bootstrap_mean(values: ArrayLike, samples: FloatArray) -> Estimate:
     return percentiles(float(x.mean()), samples @ x / samples.sum(axis=1))
 
 
+def bounded_mean(values: ArrayLike, clusters: ArrayLike, least: float) -> Estimate:
+    r"""Mean over runs of what lies between `least` and 1, with its percentile interval.
+
+    Where all runs have the same value c, a bootstrap has an interval without width. Then others
+    may come with a probability up to q, the exact limit of `clopper_pearson` for none in as many
+    trials as there are clusters:
+
+    .. math:: c - q (c - \mathrm{least}), \quad c + q (1 - c)
+
+    `values`, `clusters` (R,) as those of `bootstrap_mean` and `resamples`.
+    """
+    x = np.asarray(values, dtype=np.float64)
+    if not len(x) or np.ptp(x) > 0.0:
+        return bootstrap_mean(x, draw_resamples(clusters))
+    value, q = float(x[0]), clopper_pearson(0.0, len(np.unique(clusters))).high
+    return Estimate(value, value - q * (value - least), value + q * (1.0 - value))
+
+
 def largest_of_share(values: ArrayLike, share: float, samples: FloatArray) -> FloatArray:
     """In each bootstrap sample the largest value that is reached in at least a share of the runs.
     `values` (R,), at least one; `samples` (S, R) of `resamples`; returns (S,)."""
