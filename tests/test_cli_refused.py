@@ -1,11 +1,17 @@
 """What the command line refuses."""
 
+import errno
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from .command_line import QUICK, TWO, call, refused
+from spoofgym.core.files import whole_file
+
+from .command_line import QUICK, SHORT, TWO, call, refused
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -50,6 +56,75 @@ def test_absurd_numbers_of_runs_end_at_once(command, option, largest):
 )
 def test_wrong_input_gets_one_clear_line(arguments, message):
     assert message in refused(*arguments)
+
+
+OWN = """
+from spoofgym.detectors.controls import Never
+
+
+class Exits(Never):
+    def judge(self, epoch):
+        raise SystemExit(3)
+
+
+class Diverges(Never):
+    def judge(self, epoch):
+        raise ArithmeticError("receiver 0 has diverged")
+
+
+class Prints(Never):
+    def judge(self, epoch):
+        print("a word of its own")
+        return super().judge(epoch)
+"""
+PROBES = """
+import sys
+from tests.command_line import SHORT, call, read
+
+RUN = ["run", *SHORT, "--no-picture", "--detector"]
+
+
+def refused(*arguments):  # behind warnings, and a notice where code is compiled
+    result = call(*arguments)
+    assert result.exit_code == 2, result.output
+    return result.stderr.splitlines()[-1]
+
+
+assert "SystemExit(3)" in refused(*RUN, "own_kinds:Exits")
+assert "receiver 0 has diverged" in refused(*RUN, "own_kinds:Diverges")
+assert "unknown detector ''" in refused(*RUN, "")
+assert read(*RUN, "own_kinds:Prints", "--json")["alarm"] is False
+sys.modules["matplotlib"] = sys.modules["matplotlib.figure"] = None
+shown = call("run", *SHORT, "--detector", "never")
+assert shown.exit_code == 0, shown.output
+assert "largest_error_m" in shown.stdout
+assert shown.stderr.startswith("no picture: pictures need matplotlib"), shown.stderr
+"""
+
+
+def test_own_detectors_and_what_is_missing_on_a_machine(tmp_path):
+    (tmp_path / "own_kinds.py").write_text(OWN)
+    paths = os.pathsep.join(map(str, [tmp_path, Path(__file__).parents[1]]))
+    variables = {**os.environ, "PYTHONPATH": paths}
+    done = subprocess.run([sys.executable, "-c", PROBES], env=variables, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()
+
+
+def test_what_is_shipped_needs_no_folder_and_the_rest_names_the_variable(monkeypatch):
+    Path("file").touch()
+    monkeypatch.setenv("SPOOFGYM_CALIBRATIONS", "file/below")
+    shown = call("run", "--no-picture", "--json")
+    assert shown.exit_code == 0, shown.output
+    few = ["--detector", "ewma", "--runs", "48", "--false-alarms-per-hour", "60"]
+    line = refused("calibrate", *SHORT, *few)
+    assert "set SPOOFGYM_CALIBRATIONS to a folder that can be written" in line
+
+
+def test_a_full_disk_names_the_file():
+    with pytest.raises(OSError, match="left") as error, whole_file(Path("a.json")):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert error.value.filename == "a.json"
+    assert list(Path().iterdir()) == []
 
 
 def test_a_folder_of_something_else_is_left_alone():

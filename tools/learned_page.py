@@ -10,7 +10,6 @@ other runs, with an `--entropy`, have a table apart.  Without a folder it writes
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
@@ -23,7 +22,7 @@ from agents.spoofer_table import RIVALS, page
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.core.files import write_file
 
-from .pages import DOCS, marks, put_between
+from .pages import DOCS, marks, parse_folders, put_between
 from .refits import RESULTS as REFITS
 from .refits import table as table_of_refits
 
@@ -164,8 +163,8 @@ def _read(path: Path) -> Any:
 
 def main() -> None:
     kept = _read(DATA_FILE)
-    for folder in sys.argv[1:]:
-        take(Path(folder), kept)
+    for folder in parse_folders("Write the page of learned spoofers."):
+        take(folder, kept)
     kept = {part: dict(sorted(found.items())) for part, found in kept.items()}
     write_json(DATA_FILE, kept)
     for mark, (part, show) in TABLES.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,13 @@ from spoofgym.core.files import write_file
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 TEMPLATES = Path(__file__).with_name("templates")
+
+
+def parse_folders(description: str) -> list[Path]:
+    """Folders of results of a command line; none for the page alone."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("folders", nargs="*", type=Path, help="results that are added to the page")
+    return list(parser.parse_args().folders)
 
 
 def marks(name: str) -> tuple[str, str]:

@@ -7,14 +7,12 @@ stays as it is.  Without a folder it writes the table again.
 from __future__ import annotations
 
 import json
-import sys
-from pathlib import Path
 from typing import Any
 
 from agents.folder import write_json
 from train.residual_ppo import build_table
 
-from .pages import DOCS, marks, put_between
+from .pages import DOCS, marks, parse_folders, put_between
 
 PAGE, DATA_FILE = DOCS / "terms.md", DOCS / "residual.json"
 
@@ -32,8 +30,8 @@ def take(results: dict[str, Any], kept: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     kept = json.loads(DATA_FILE.read_text()) if DATA_FILE.exists() else {}
-    for folder in sys.argv[1:]:
-        kept = take(json.loads((Path(folder) / "results.json").read_text()), kept)
+    for folder in parse_folders("Write the page of residual spoofers."):
+        kept = take(json.loads((folder / "results.json").read_text()), kept)
     write_json(DATA_FILE, kept)
     put_between(PAGE, *marks("residual"), f"{build_table(kept)}\n")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from ..detectors import DETECTORS, Calibrated, Detector
 from ..detectors.build import bare_detector
 from ..detectors.calibrated import STANDARD_RATE, check_drifts, describe_identity, unwrap
 from ..detectors.calibration_file import (
+    FOLDER_VARIABLE,
     STANDARD_RATES,
     Calibration,
     check_rate,
@@ -104,16 +106,12 @@ def calibrate_detectors(
     ValueError
         When the runs are too few for a rate, or a statistic is degenerate.
     """
-    from filelock import FileLock
-
     rates = list_rates(false_alarms_per_hour)
     parts = inner_detectors(detectors)
     if runs is not None:
         runs = whole_number("`runs`", runs, 1)
     work = _Work(setup, rates, rescaled, whole_number("`entropy`", entropy), folder, overwrite)
-    home = user_folder()
-    home.mkdir(parents=True, exist_ok=True)
-    with FileLock(home / f"{setup.conditions.digest}.lock"):  # others wait, and find the files
+    with _lock_folder(setup) if work.groups(parts, runs) else nullcontext():
         groups = work.groups(parts, runs)
         left = sum(count for _, count, _ in groups)
         with (progress if progress and left else no_progress)(left) as bar:
@@ -127,6 +125,21 @@ def calibrate_detectors(
         for rate in rates:
             each.point(rate)
     return found
+
+
+def _lock_folder(setup: Setup) -> AbstractContextManager[Any]:
+    """Lock of the user's folder: others wait, and find the files."""
+    from filelock import FileLock
+
+    home = user_folder()
+    try:
+        home.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(
+            f"calibrations can't be stored in {home} ({error.strerror}); set {FOLDER_VARIABLE} to "
+            "a folder that can be written"
+        ) from error
+    return FileLock(home / f"{setup.conditions.digest}.lock")
 
 
 def list_rates(given: float | Sequence[float]) -> tuple[float, ...]:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import atexit
+import errno
 import functools
 import json
 import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, ParamSpec, TypeVar
+from typing import Annotated, Any, NoReturn, ParamSpec, TextIO, TypeVar
 
 import typer
 from typer import Option
@@ -21,9 +22,13 @@ from ..core.progress import ProgressCallback, show_progress
 
 signals: list[int] = []
 """Signals that requested the end of the program."""
+outputs: list[TextIO] = []
+"""Standard output of a command that prints JSON, and nothing else."""
 HANDLED_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 REPEAT_S = 0.05
 """Until a dropped interrupt is sent again."""
+ERRORS = (ValueError, TypeError, ImportError, OSError, RuntimeError, ArithmeticError)
+"""Errors whose message is meant for users."""
 P = ParamSpec("P")
 R = TypeVar("R")
 TRACEBACK_VARIABLE = "SPOOFGYM_TRACEBACK"
@@ -47,15 +52,20 @@ def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
     @functools.wraps(function)
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
-            return function(*args, **kwargs)
+            with _only_json() if kwargs.get("as_json") else nullcontext():
+                return function(*args, **kwargs)
         except (typer.Exit, typer.Abort):  # RuntimeErrors, too
             raise
-        except (ValueError, TypeError, ImportError, OSError, RuntimeError) as error:
+        except (*ERRORS, SystemExit) as error:
             if os.environ.get(TRACEBACK_VARIABLE) or isinstance(error, BrokenPipeError):
                 raise
             text = " ".join(str(error).split())
             if isinstance(error, OSError) and error.filename and error.strerror:
                 text = f"{error.filename}: {error.strerror}"
+            elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
+                text = f"standard output: {error.strerror}"  # files have names (`core.files`)
+            elif isinstance(error, SystemExit):
+                text = f"a detector, a spoofer or their module raises SystemExit({error.code!r})"
             typer.echo(f"spoofgym: error: {text}", err=True)
             raise typer.Exit(2) from error
         except KeyboardInterrupt as error:
@@ -124,9 +134,21 @@ def main() -> None:
             _leave(128 + signals[0])
 
 
+@contextmanager
+def _only_json() -> Iterator[None]:
+    """Leave standard output to `print_json`: what a detector prints goes to standard error."""
+    outputs.append(sys.stdout)
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        outputs.pop()
+
+
 def print_json(value: Any) -> None:
     """Print JSON; neither NaN nor infinity is."""
-    typer.echo(json.dumps(value, indent=2, allow_nan=False))
+    text = json.dumps(value, indent=2, allow_nan=False)
+    typer.echo(text, file=outputs[-1] if outputs else None)
 
 
 def print_lines(lines: Iterable[str]) -> None:

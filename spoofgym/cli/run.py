@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from typer import Option
 
 from . import options as opt
@@ -55,9 +56,13 @@ def run(
 
     animated = out.suffix.lower() in WRITERS
     if picture:
-        check_picture(out, WRITERS)
-        if animated:
-            animation_writer(out, fps)
+        try:
+            check_picture(out, WRITERS)
+        except ImportError as error:
+            typer.echo(f"no picture: {error}", err=True)
+            picture = False
+    if picture and animated:
+        animation_writer(out, fps)
     suite, judge, player, reports = _suite(options)
     if not as_json:
         print_lines((*suite.notes, *suite.captions))
@@ -100,7 +105,7 @@ def _animate(
 def _suite(options: RunOptions) -> tuple[Suite, PlayerSpec, PlayerSpec, Reports]:
     """The suite of one pair, its detector, its spoofer, which has to know all its settings, and
     the reports of real input."""
-    detectors = [options.detector] if options.detector else None
+    detectors = None if options.detector is None else [options.detector]
     suite, reports = build_suite(options, detectors, spoofers=opt.parse_specs([options.spoofer]))
     suite = calibrate_suite(suite, detectors, None)
     player = suite.spoofer_players[-1]

@@ -390,7 +390,8 @@ class Simulator(ABC):
         if b >= 0:
             raise FilterDiverged(
                 f"the filter of receiver {b} of {len(position)} has diverged at "
-                f"{self.time_s()[b]:g} s: its position is {position[b].tolist()}"
+                f"{self.time_s()[b]:g} s: its position is {position[b].tolist()}; "
+                "a weaker attack, more satellites or another `tuning` may keep it"
             )
 
     def step(

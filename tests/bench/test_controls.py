@@ -150,3 +150,9 @@ def test_every_table_has_one_rate_and_marks_who_is_no_better_or_alarms_before_th
     for row in early["detectors"]:
         (row["claimed"] or {})["warmup_alarms"] = 0.34
     assert "alarms before the onset in 34 % of clean runs" in report.mark_detector(early, TOY)
+    for low, marked in ((5.0, True), (0.1, False)):
+        (row,) = (row for row in early["detectors"] if row["detector"] == TOY)
+        row["false_alarms_per_hour"] = {"value": 9.0, "low": low, "high": 14.0}
+        row["claimed"] = {**(row["claimed"] or {}), "false_alarms_per_hour": 0.2}
+        said = f"false alarms above the claimed rate: 9.0 ({low} to 14.0) an hour, claimed 0.2"
+        assert (said in report.mark_detector(early, TOY)) is marked

@@ -108,7 +108,7 @@ def write_campaign_verdict(config: Mapping[str, Any], summary: Row) -> list[str]
             lines += [f"{row['detector']}: {_describe_reach(summary, row)}" for row in rows[:4]]
         marks: dict[str, list[str]] = {}
         for row in rows:
-            for mark in [*_split_marks(row["mark"]), *_exceeds_claim(row)]:
+            for mark in _split_marks(row["mark"]):
                 marks.setdefault(mark, []).append(row["detector"])
         lines += [f"{mark.capitalize()}: {', '.join(names)}." for mark, names in marks.items()]
     attack_s = config["timeline"]["attack_s"]
@@ -118,14 +118,6 @@ def write_campaign_verdict(config: Mapping[str, Any], summary: Row) -> list[str]
 
 def _split_marks(mark: str) -> list[str]:
     return [each for each in mark.split("; ") if each not in ("", "-")]
-
-
-def _exceeds_claim(row: Row) -> list[str]:
-    """Whether a detector alarms more often than claimed, beyond chance."""
-    measured, claimed = row["false_alarms_per_hour"], row["claimed"]
-    if claimed is None or not (measured["low"] or 0.0) > claimed["false_alarms_per_hour"]:
-        return []
-    return [f"false alarms above the claimed rate, {interval(measured)} an hour"]
 
 
 def _describe_reach(summary: Row, row: Row) -> str:
