@@ -72,11 +72,15 @@ fast world of a paper, and the small environments ``spoofgym/LooselyCoupled-v0``
 
 from typing import TYPE_CHECKING, Any
 
-from gymnasium.envs.registration import register
+from .core.startup import end_by_interrupts as _end_by_interrupts
 
-from .tasks import DEFAULT_TASK as _DEFAULT_TASK
-from .tasks import DETECTOR_TASKS as _DETECTOR_TASKS
-from .tasks import TASKS as _TASKS
+_end_by_interrupts()  # before what takes a second
+
+from gymnasium.envs.registration import register  # noqa: E402
+
+from .tasks import DEFAULT_TASK as _DEFAULT_TASK  # noqa: E402
+from .tasks import DETECTOR_TASKS as _DETECTOR_TASKS  # noqa: E402
+from .tasks import TASKS as _TASKS  # noqa: E402
 
 if TYPE_CHECKING:
     from .bench.experiments.audit import audit as audit

@@ -201,3 +201,28 @@ def test_progress_leaves_no_thread_that_nobody_waits_for(monkeypatch):
         assert set(threading.enumerate()) - before
         _threads.end_all()
         assert not set(threading.enumerate()) - before
+
+
+@pytest.mark.parametrize("start", [["-m", "spoofgym"], ["spoofgym"]], ids=["module", "script"])
+def test_an_interrupt_while_packages_are_imported_is_one_line(start, tmp_path):
+    (tmp_path / "gymnasium").mkdir()  # in place of a slow one
+    (tmp_path / "gymnasium/__init__.py").write_text(
+        "print('importing', flush=True)\nimport time\ntime.sleep(60)"
+    )
+    script = tmp_path / "spoofgym"
+    script.write_text("from spoofgym.cli import main\nmain()\n")
+    words = start if start[0] == "-m" else [str(script)]
+    path = os.pathsep.join(
+        [str(tmp_path / ".."), str(tmp_path), os.environ.get("PYTHONPATH", ""), os.getcwd()]
+    )
+    process = subprocess.Popen(
+        [sys.executable, *words, "list"],
+        env={**os.environ, "PYTHONPATH": path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "importing\n"
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=IN_TIME_S)
+    assert (process.returncode, errors) == (130, "spoofgym: interrupted\n")

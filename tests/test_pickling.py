@@ -1,11 +1,14 @@
 """An environment goes to another process as it is: files, joblib, SubprocVecEnv."""
 
+import multiprocessing
 import os
 import pickle
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+import gymnasium as gym
 import joblib
 import numpy as np
 import pytest
@@ -74,6 +77,27 @@ def test_a_file_of_environments_goes_on_in_a_fresh_process_with_the_same_bits(ki
         for one, two, mine in zip(seen[name], other, go_on(env), strict=True):
             np.testing.assert_array_equal(one, mine)
             np.testing.assert_array_equal(two, mine)
+
+
+IDS = sorted(name for name, spec in gym.registry.items() if spec.namespace == "spoofgym")
+FORMS = [(name, None) for name in IDS]
+FORMS += [(name, 2) for name in IDS if gym.spec(name).vector_entry_point is not None]
+
+
+def make_form(name, number):
+    return gym.make(name) if number is None else gym.make_vec(name, num_envs=number)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("method", ["spawn", "forkserver"])
+@pytest.mark.parametrize("form", FORMS, ids=str)
+def test_every_environment_goes_on_in_any_process(method, form):
+    env = under_way(make_form(*form))
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context(method)) as pool:
+        seen = pool.submit(go_on, env).result()
+    for one, mine in zip(seen, go_on(env), strict=True):
+        np.testing.assert_array_equal(one, mine)
+    env.close()
 
 
 @pytest.mark.nojit

@@ -1,0 +1,31 @@
+"""The program's first second, in which its packages are still being imported."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NoReturn
+
+PROGRAM = "spoofgym"
+
+
+def is_program() -> bool:
+    """Whether this process is the command line, as a script or by ``python -m``."""
+    words = sys.orig_argv
+    by_module = ("-m", PROGRAM) in pairwise(words)
+    return by_module or Path(sys.argv[0]).stem == PROGRAM if sys.argv else by_module
+
+
+def end_by_interrupts() -> None:
+    """Until `cli.app.main` takes over, let Ctrl-C end the program in one line, and not in whatever
+    import it meets."""
+    if is_program() and signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+        signal.signal(signal.SIGINT, _end)
+
+
+def _end(number: int, frame: Any) -> NoReturn:
+    os.write(2, b"spoofgym: interrupted\n")
+    os._exit(128 + number)
