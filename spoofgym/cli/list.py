@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from typer import Argument
 
 from . import options as opt
-from .app import print_json
+from .app import print_json, print_lines
 
 
 def list_(
@@ -39,13 +39,14 @@ Found = tuple[Any, Callable[[], None]]
 
 def _list_kinds(name: str | None = None) -> Found:
     """Everything of a kind, or of all."""
-    from ..bench.report.catalogue import KINDS, select_table
+    from ..bench.report.catalogue import KINDS, NOTES, select_table
 
     found = {each: rows() for each, rows in KINDS.items() if name in {None, each}}
 
     def show() -> None:
         for each, rows in found.items():
             select_table(each).print(each, rows)
+            print_lines([NOTES[each]] if each in NOTES else [])
 
     return found, show
 

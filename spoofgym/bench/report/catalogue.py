@@ -126,6 +126,12 @@ def _mark_summary(row: Mapping[str, Any]) -> str:
     return f"{row['summary']} [{'; '.join(marks)}]" if marks else str(row["summary"])
 
 
+NOTES = {
+    "scenarios": "The detector of spoofgym/Zhong2025-v0, ewma, has shipped thresholds in zhong2025 "
+    "alone. In another scenario give --detector never or --nominal, or run `spoofgym calibrate "
+    "--scenario NAME --detector ewma` first.",
+}
+"""What is said below a table."""
 LONGEST = 14
 """Characters of a default that a table of names shows; `spoofgym list NAME` has all."""
 
