@@ -22,8 +22,13 @@ from .envs.support import victim, victims
 
 def play(env, steps=4):
     """What some steps show, with the same command for every receiver."""
-    command = np.full(env.action_space.shape, 0.3, dtype=np.float32)
-    return [part for _ in range(steps) for part in env.step(command)[:2]]
+    command, shown = np.full(env.action_space.shape, 0.3, dtype=np.float32), []
+    for _ in range(steps):
+        *parts, terminated, truncated, _ = env.step(command)
+        shown += parts
+        if np.ndim(terminated) == 0 and (terminated or truncated):
+            env.reset(seed=9)
+    return shown
 
 
 def go_on(env):
