@@ -17,6 +17,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 from spoofgym.core.files import write_file
+from spoofgym.core.reading import Archive, parse_json
 
 WEIGHTS, STATE = "parameters.pt", "state.json"
 RUNNING = {"obs_rms": ("mean", "var", "count"), "ret_rms": ("mean", "var", "count")}
@@ -48,8 +49,8 @@ def open_checkpoint(path: Path) -> Iterator[tuple[dict[str, Any], dict[str, Any]
     """Tensors and state of a checkpoint, whose files are written beside it when the block has taken
     them over; a ValueError where they are damaged, or fit nothing there."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            state = dict(json.loads(archive.read(STATE)))
+        with Archive(path) as archive:
+            state = parse_json(archive.read(STATE), STATE)
             tensors = torch.load(BytesIO(archive.read(WEIGHTS)), weights_only=True)
             names = [each for each in archive.namelist() if each not in (WEIGHTS, STATE)]
             files = {name: archive.read(name) for name in names if Path(name).name == name}

@@ -7,14 +7,15 @@ import dataclasses
 import difflib
 import importlib
 import inspect
-import json
 import numbers
 import re
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from .reading import FileError, parse_json
 from .settings import describe, list_written
 
 T = TypeVar("T")
@@ -152,6 +153,8 @@ def check_keywords(
 
 
 Spec = dict[str, Any]
+SHOWN = 200
+"""Characters of a text that a message repeats."""
 _WORDS = {"None": None, "True": True, "False": False}
 _COMMAS = r",(?![^\[\]]*\])"  # commas between settings, not those within the brackets of a list
 
@@ -168,10 +171,7 @@ def parse_spec(text: str) -> Spec:
     """
     text = text.strip()
     if text.startswith("{"):
-        try:
-            spec = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise ValueError(f"{text!r} is not JSON: {error}") from error
+        spec = parse_json(text, repr(text[:SHOWN]))
         if not isinstance(spec.get("name"), str):
             raise ValueError(f'{text!r} must have a "name"')
         return dict(spec)
@@ -203,12 +203,12 @@ def _value(text: str) -> Any:
     word = text.capitalize()
     if word in _WORDS:
         return _WORDS[word]
-    for read in (json.loads, float):
-        try:
-            return read(text)
-        except ValueError:
-            continue
-    return text
+    with suppress(FileError):
+        return parse_json(text, "a value", object)
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def load_class(path: str, base: Callable[..., T]) -> type[T]:

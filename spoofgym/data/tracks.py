@@ -8,14 +8,13 @@ and snapshots of readsb and tar1090, flights of Flightradar24 (CSV, and the JSON
 
 from __future__ import annotations
 
-import gzip
-import json
+import csv
 import math
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from io import BytesIO, StringIO
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -23,31 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.declared import check_word
+from ..core.reading import FileError, check_table, parse_json, read_file, read_lines
 from ..core.registry import require
-
-GZIP_MAGIC = b"\x1f\x8b"
-LARGEST_SIZE = 64 * 2**20  # of a file, unpacked [bytes]: twice a day of records once a second
-
-
-class FileError(ValueError):
-    """A file that isn't what it should be; the message names file, place and what is valid."""
-
-
-def read_file(path: Path) -> bytes:
-    """All of a file, unpacked where its first bytes say that gzip packed it. More than
-    `LARGEST_SIZE` bytes are a `FileError`, as are damaged gzip data."""
-    with path.open("rb") as file:
-        packed = file.read(len(GZIP_MAGIC)) == GZIP_MAGIC
-        file.seek(0)
-        try:
-            content = (gzip.GzipFile(fileobj=file) if packed else file).read(LARGEST_SIZE + 1)
-        except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-            raise FileError(f"{path}: its gzip data are damaged or cut short: {error}") from error
-    if len(content) > LARGEST_SIZE:
-        size = f"{LARGEST_SIZE // 2**20} MiB{' unpacked' if packed else ''}"
-        raise FileError(f"{path} is too large: valid are at most {size}")
-    return content
-
 
 if TYPE_CHECKING:
     import pandas
@@ -85,6 +61,8 @@ QUANTITIES: dict[str, dict[str, float]] = {
         ),
     },
 }  # column names by quantity, each with what turns its unit into m, m/s or deg
+COLUMNS = {*TIME, *POSITION_TIME, *AIRCRAFT, "position"}.union(*QUANTITIES.values())
+"""All names that a column of a track may have."""
 STATE_VECTOR = (
     *("icao24", "callsign", "origin_country", "time_position", "last_contact", "longitude"),
     *("latitude", "baro_altitude", "on_ground", "velocity", "true_track", "vertrate", "sensors"),
@@ -151,7 +129,7 @@ def read_track(
         kind in {"csv", "json", "jsonl", "ndjson", "parquet", "pq"},
         f"`path` must end in .csv, .json, .jsonl or .parquet, got {path.name!r}",
     )
-    content = read_file(path)
+    content = (read_file if kind in {"parquet", "pq"} else read_lines)(path)
     try:
         frame = _frame(content, kind)
     except ImportError:
@@ -166,25 +144,39 @@ def read_track(
 
 
 def _frame(content: bytes, kind: str) -> pandas.DataFrame:
-    import pandas
-
     if kind == "csv":
         return _read_csv(content.decode("utf-8-sig", errors="replace"))
     if kind in {"json", "jsonl", "ndjson"}:
-        text = content.decode("utf-8-sig")
         try:
-            found = json.loads(text)
-        except json.JSONDecodeError as error:
-            if "\n" not in text.strip() or "Extra data" not in error.msg:
+            found = parse_json(content, "its text", object)
+        except FileError as error:
+            if "Extra data" not in str(error):
                 raise
-            found = [json.loads(line) for line in text.splitlines() if line.strip()]
+            lines = enumerate(content.decode("utf-8-sig").splitlines(), start=1)
+            found = [parse_json(x, f"its line {k}", object) for k, x in lines if x.strip()]
         return _tabulate(found)
-    from pyarrow.parquet import read_metadata
+    return _read_parquet(content)
 
-    about = read_metadata(BytesIO(content))
-    if (size := 8 * about.num_rows * about.num_columns) > LARGEST_SIZE:
-        raise ValueError(f"it must hold at most {LARGEST_SIZE // 8} values, got {size // 8}")
-    return pandas.read_parquet(BytesIO(content))
+
+def _read_parquet(content: bytes) -> pandas.DataFrame:
+    """Table of the columns of a track alone; texts are not repeated in memory."""
+    from pyarrow.parquet import ParquetFile, read_table
+
+    schema = ParquetFile(BytesIO(content))
+    about, columns = schema.metadata, [*map(schema.schema.column, range(len(schema.schema)))]
+    flat = [each for each in columns if each.name == each.path and not each.max_repetition_level]
+    read = [each for each in flat if each.name.strip().strip("\"'").lower() in COLUMNS]
+    require(read, f"none of its columns is one of a track: {', '.join(x.path for x in columns)}")
+    check_table(about.num_rows, len(read))
+    texts = [each.name for each in read if each.physical_type == "BYTE_ARRAY"]
+    table = read_table(
+        BytesIO(content),
+        columns=[each.name for each in read],
+        read_dictionary=texts,
+        use_threads=False,
+    )
+    frame = table.to_pandas(use_threads=False)
+    return frame.astype({name: object for name in texts if frame[name].dtype == "category"})
 
 
 def _read_csv(text: str) -> pandas.DataFrame:
@@ -195,6 +187,8 @@ def _read_csv(text: str) -> pandas.DataFrame:
         return pandas.DataFrame()
     head = text.lstrip().split("\n", 1)[0]
     separator = max(",;\t", key=head.count)
+    rows = csv.reader(StringIO(text.lstrip()), delimiter=separator, skipinitialspace=True)
+    check_table(text.count("\n") + 1, max(map(len, islice(filter(None, rows), 2)), default=0))
     frame = pandas.read_csv(StringIO(text), sep=separator, skipinitialspace=True)
     if separator == ";":  # where the comma may be the decimal one
         for name in frame.select_dtypes(exclude="number"):
@@ -207,16 +201,26 @@ def _read_csv(text: str) -> pandas.DataFrame:
 
 def _tabulate(found: Any) -> pandas.DataFrame:
     """Table of records in one of the forms that services write."""
-    import pandas
-
     if isinstance(found, list) and found and all(isinstance(each, dict) for each in found):
         parts = [_find_rows(each) for each in found]
         if any(part is not None for part in parts):
-            return pandas.DataFrame([row for part in parts for row in part or ()])
+            return _make_frame([row for part in parts for row in part or ()])
     elif isinstance(found, dict) and (rows := _find_rows(found)) is not None:
-        return pandas.DataFrame(rows)
+        return _make_frame(rows)
     if not isinstance(found, (list, dict)):
         raise ValueError("it must hold a list of records or columns by name")
+    return _make_frame(found)
+
+
+def _make_frame(found: list[Any] | dict[str, Any]) -> pandas.DataFrame:
+    """Table of rows, or of columns by name, of which each may be a mapping itself."""
+    import pandas
+
+    parts = list(found.values()) if isinstance(found, dict) else found
+    names = {name for each in parts if isinstance(each, dict) for name in each}
+    most = max((len(each) for each in parts if isinstance(each, list)), default=0)
+    rows, columns = len(parts), max(len(names), most)
+    check_table(*((columns, rows) if isinstance(found, dict) else (rows, columns)))
     return pandas.DataFrame(found)
 
 

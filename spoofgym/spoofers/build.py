@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
+from ..core.reading import read_json
 from ..core.registry import Spec, build_spec, make
 from ..policies.card import SPOOFER, SpooferCard
 from ..policies.onnx_file import SUFFIX
@@ -69,8 +68,8 @@ def read_settings(spec: Any) -> Any:
     file = given.pop("name", None)
     if not isinstance(file, str) or not file.endswith(".json"):
         return spec
-    found = json.loads(Path(file).read_bytes())
-    if not isinstance(found, dict) or "name" not in found:
+    found = read_json(file)
+    if "name" not in found:
         raise ValueError(f"{file} has no name and settings of a spoofer")
     return {**found, **given}
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
+from ...core.reading import read_file, read_json
 from ...core.registry import build, check_choice
 from ...core.settings import describe
 from .action import ACTION_TERMS, ActionTerm
@@ -97,13 +97,15 @@ def _make(kind: str, spec: Any) -> Any:
 
 def _read_terms(kind: str, path: Path) -> Any:
     try:
-        text = path.read_text(encoding="utf-8")
-        content = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        if path.suffix == ".json":
+            content = read_json(path, object)
+        else:
+            content = tomllib.loads(read_file(path).decode())
     except OSError as error:
         if not isinstance(error, FileNotFoundError):
             raise ValueError(f"{str(path)!r} can't be read: {error}") from error
         raise ValueError(f"there is no file {str(path)!r} with {kind} terms") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{str(path)!r} can't be read: {error}") from error
     if not isinstance(content, Mapping):
         raise ValueError(f"{str(path)!r} must hold lists by kind; valid: {', '.join(TERMS)}")
