@@ -11,6 +11,7 @@ import gzip
 import io
 import json
 import os
+import re
 import resource
 import signal
 import tempfile
@@ -29,6 +30,7 @@ import typer
 from spoofgym.bench.experiments.store import Cell, Result, Store
 from spoofgym.core.files import write_file
 from spoofgym.core.reading import read_json
+from spoofgym.core.registry import parse_spec
 from spoofgym.data.rinex import read_navigation
 from spoofgym.data.tracks import read_track
 from spoofgym.detectors.build import make_detector
@@ -47,27 +49,34 @@ NASTY = (*(0, -1, 1e308, -1e-308, 2**63, 10**400, 1e999, float("nan")), None, Tr
 NASTY = (*NASTY, "x" * 10**5, [], {}, [[]] * 1000, {"name": "x"}, "../x", "NaN", -0.0)
 TOKENS = (b"NaN", b"1e999", b"9" * 400, b"[" * 5000, b'{"a":' * 500, b"\x00" * 64, b"\xff\xfe")
 TOKENS = (*TOKENS, b"\n" * 5000, b"," * 5000, b"\r", b'"', b"-", b"\xe2\x80\xa8", b"\\ud800", b"=")
-RECORD = (
-    " 5 24  1  1  0  0  0.0" + " 1.000000000000D-04" * 3 + "\n"
-    "    1.000000000000D+00 1.000000000000D+00 4.500000000000D-09 1.000000000000D+00\n"
-    "    1.000000000000D-06 1.000000000000D-02 8.000000000000D-06 5.153700000000D+03\n"
-    "    8.640000000000D+04 1.000000000000D-08 1.000000000000D+00 1.000000000000D-08\n"
-    "    9.600000000000D-01 2.000000000000D+02 1.000000000000D+00-8.000000000000D-09\n"
-    "    1.000000000000D-10 1.000000000000D+00 2.295000000000D+03 0.000000000000D+00\n"
-    "    2.000000000000D+00 0.000000000000D+00 1.000000000000D-08 1.000000000000D+00\n"
-    "    8.640000000000D+04 4.000000000000D+00\n"
-)
+NUMBERS = (b"0", b"-1", b"1e308", b"-1e308", b"1e-308", b"9" * 400, b"nan", b"inf", b"1e999")
+NUMBERS = (*NUMBERS, b"3", b"-0.0", b"2147483648", b"[1,2]", b"none", b"true", b"x", b"0.5")
+RECORD = """\
+ 5 24  9 14 22  0  0.0-0.150000000000D-03-0.250000000000D-11 0.000000000000D+00
+    0.630000000000D+02-0.900000000000D+02 0.460000000000D-08 0.700000000000D+00
+   -0.400000000000D-05 0.120000000000D-01 0.550000000000D-05 0.515370000000D+04
+    0.597600000000D+06 0.300000000000D-07 0.230000000000D+01-0.900000000000D-07
+    0.965000000000D+00 0.275000000000D+03-0.190000000000D+01-0.810000000000D-08
+    0.200000000000D-09 0.100000000000D+01 0.233100000000D+04 0.000000000000D+00
+    0.200000000000D+01 0.000000000000D+00-0.110000000000D-07 0.630000000000D+02
+    0.590400000000D+06 0.400000000000D+01
+"""
 NAVIGATION = f"{'     2.10':20}{'N':40}RINEX VERSION / TYPE\n{'':60}END OF HEADER\n{RECORD}{RECORD}"
 ROWS = [
     {"time": 1.7e9 + 5 * k, "lat": 47.0 + 1e-3 * k, "lon": 8.0, "alt": 1e4, "gs": 400, "track": 1}
     for k in range(20)
 ]
-SETTINGS = (
-    *("ewma:smoothing=0.2,max_exclusion_s=60", "snapshot-chi2:false_alarm_rate=0.01", "raim"),
-    *("cusum:drift=0.5", "aime:windows_s=[5,25]", '{"name": "ewma", "smoothing": 0.1}'),
-    *("ramp:rate_mps=0.2,heading_deg=90", "step:offset_m=5", "zhong2025:epoch_interval_s=0.5"),
-    *("zhong2025:events=3", "zhong2025:imu_rate_hz=20,mask_deg=5", "ke2022:channels=8"),
-)
+SETTINGS = {
+    make_detector: (
+        *("ewma:smoothing=0.2,max_exclusion_s=60", "snapshot-chi2:false_alarm=0.01", "raim"),
+        *("cusum", "aime:windows_s=[5,25],signals=both", '{"name": "ewma", "smoothing": 0.1}'),
+    ),
+    make_spoofer: ("ramp:rate_mps=0.2,heading_deg=90", "none", "step:size_m=5"),
+    make_scenario: (
+        *("zhong2025:epoch_interval_s=0.5", "zhong2025:imu_rate_hz=20,mask_deg=5"),
+        *("ke2022:channels=8", "zhong2025:events=none"),
+    ),
+}
 
 
 class Reader(NamedTuple):
@@ -125,7 +134,7 @@ def _read_track(path: Path) -> None:
 
 def _read_navigation(path: Path) -> None:
     found = read_navigation(path)
-    assert np.isfinite(found.sqrt_a if hasattr(found, "sqrt_a") else 0.0).all()
+    assert all(np.isfinite(x).all() for k, x in vars(found).items() if k != "satellite_id")
 
 
 def _read_onnx(path: Path) -> None:
@@ -147,15 +156,23 @@ def _describe(content: bytes) -> Any:
 
 
 def _read_calibration(path: Path) -> None:
-    found = Calibration.load(path)
-    assert _calibrations()[0] == path.read_bytes() or found.runs >= 1
+    found, (whole,) = Calibration.load(path), _calibrations()
+    mine, content = json.loads(whole), read_json(path)
+    both = mine.keys() & content.keys() - {"checksum"}
+    changed = [key for key in both if mine[key] != content[key]]
+    assert "checksum" not in content or not changed, f"{changed} {found.runs}"
 
 
 def _read_settings(path: Path) -> None:
-    text = path.read_bytes().decode(errors="replace")
-    makers: tuple[Callable[[str], Any], ...] = (make_detector, make_spoofer, make_scenario)
-    wanted = 2 if text.startswith(("zhong", "ke2")) else int(text.startswith(("ramp", "step")))
-    makers[wanted](text)
+    """The first digit of a text says what it is of."""
+    number, text = path.read_bytes()[:1], path.read_bytes()[1:].decode(errors="replace")
+    makers = list(SETTINGS)
+    makers[int(number) if number in (b"0", b"1", b"2") else 0](parse_spec(text))
+
+
+def _settings() -> list[bytes]:
+    texts = enumerate(SETTINGS.values())
+    return [f"{k}{text}".encode() for k, some in texts for text in some]
 
 
 def _read_checkpoint(path: Path) -> None:
@@ -207,7 +224,7 @@ READERS = {
         ".onnx", lambda: [x.read_bytes() for x in ZOO_FOLDER.glob("*.onnx")], _read_onnx
     ),
     "record": Reader(".jsonl", lambda: [b"\n".join([*_dump(POINT)()] * 3)], _read_record),
-    "settings": Reader(".txt", lambda: [x.encode() for x in SETTINGS], _read_settings),
+    "settings": Reader(".txt", _settings, _read_settings),
     "spoofer": Reader(
         ".json", _dump({"name": "ramp", "rate_mps": 0.2}), lambda path: make_spoofer(str(path))
     ),
@@ -218,7 +235,17 @@ READERS = {
     ),
     "track-csv": Reader(".csv", lambda: [CSV, CSV.replace(b",", b";")], _read_track),
     "track-gz": Reader(".csv.gz", lambda: [gzip.compress(CSV)], _read_track),
-    "track-json": Reader(".json", _dump(ROWS, {"time": 0, "states": [["a"] * 14]}), _read_track),
+    "track-json": Reader(
+        ".json",
+        _dump(
+            ROWS,
+            {
+                "time": 0,
+                "states": [["a", "b", "c", 5, 5, 8.0, 47.0, 1e4, False, 200, 1, 0, None, 1e4]],
+            },
+        ),
+        _read_track,
+    ),
     "track-parquet": Reader(".parquet", _parquet, _read_track),
 }
 
@@ -234,12 +261,18 @@ def mutate(content: bytes, rng: np.random.Generator) -> bytes:
             return _mutate_json(json.loads(content), rng)
         except (ValueError, RecursionError):
             pass
+    numbers = [*re.finditer(rb"-?\d+\.?\d*", content)]
+    if numbers and rng.random() < 0.4:
+        chosen = numbers[rng.integers(len(numbers))]
+        value = NUMBERS[rng.integers(len(NUMBERS))]
+        return content[: chosen.start()] + value + content[chosen.end() :]
     for _ in range(rng.integers(1, 4)):
         at, end = np.sort(rng.integers(0, len(content) + 1, 2)).tolist()
         end = min(end, at + int(rng.integers(1, 50)))
         token = TOKENS[rng.integers(len(TOKENS))]
         flipped = bytes(byte ^ int(rng.integers(256)) for byte in content[at : at + 2])
-        middle = (flipped + content[at + 2 : end], b"", token, content[at:end] * 20)
+        repeated = content[at:end] * (20 if rng.random() < 0.9 else 1 << 17)
+        middle = (flipped + content[at + 2 : end], b"", token, repeated)
         content = content[:at] + middle[rng.integers(len(middle))] + content[end:]
     return content if rng.random() < 0.95 else content[: len(content) // 2]
 

@@ -80,7 +80,10 @@ class Setting:
         """Whether a value is a number within the limits; `whole`: and a whole one."""
         if not is_number(value):
             return False
-        size = float(value)
+        try:
+            size = float(value)
+        except OverflowError:  # a whole number of hundreds of digits
+            return False
         if math.isnan(size) or (math.isinf(size) and not self.infinite):
             return False
         if whole and not size.is_integer():

@@ -243,14 +243,15 @@ def make(
     returns it, or an object, which is copied; `more`: other valid names."""
     if isinstance(spec, str):
         spec = {"name": spec}
-    if isinstance(spec, Mapping) and ":" in str(spec.get("name", "")):
+    name = spec.get("name") if isinstance(spec, Mapping) else None
+    if isinstance(name, str) and ":" in name:
         settings = dict(spec)
-        refuse_pickle(spec["name"])
+        refuse_pickle(name)
         kind = load_class(settings.pop("name"), base)
         try:
             return kind(**settings)
         except TypeError as error:
-            raise ValueError(f"{word} {spec['name']!r}: {error}") from error
+            raise ValueError(f"{word} {name!r}: {error}") from error
     return build(word, kinds, base, spec, more=more)
 
 
