@@ -314,8 +314,10 @@ def try_case(reader: Reader, corpus: list[bytes], name: str, number: int, folder
         reader.read(path)
         outcome = "read"
     except (ValueError, TypeError, OSError) as error:
-        files = {each.name for each in traceback.extract_tb(error.__traceback__)}
-        outcome = "refused" if type(error) is not UnicodeEncodeError or not files else repr(error)
+        message = str(error)
+        message.encode()  # half of a surrogate pair can't be printed
+        named = name == "settings" or str(folder) in message
+        outcome = "refused" if named else f"no file is named: {type(error).__name__}: {message}"
     except Exception as error:
         last = traceback.extract_tb(error.__traceback__)[-1]
         outcome = f"{type(error).__name__} at {Path(last.filename).name}:{last.lineno}: {error}"

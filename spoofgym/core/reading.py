@@ -5,6 +5,7 @@ All that can be wrong with a file is a `FileError`, which names it, the place, a
 
 from __future__ import annotations
 
+import errno
 import gzip
 import io
 import json
@@ -12,6 +13,8 @@ import math
 import os
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -31,6 +34,17 @@ DEEPEST = 100
 
 class FileError(ValueError):
     """A file that isn't what it should be; the message names file, place and what is valid."""
+
+
+@contextmanager
+def name_file(path: str | os.PathLike[str] | None) -> Iterator[None]:
+    """Name the file in errors of what its content is made into; None where it is no file."""
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        if path is None or os.fspath(path) in str(error):
+            raise
+        raise FileError(f"{os.fspath(path)}: {error}") from error
 
 
 def read_file(path: Path, most: int | None = None) -> bytes:
@@ -114,12 +128,24 @@ def _parse_int(text: str) -> int:
     return int(text)
 
 
+@contextmanager
+def _name_damage() -> Iterator[None]:
+    """A place outside of the file is damage, and no failure of the disk."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno != errno.EINVAL:
+            raise
+        raise zipfile.BadZipFile("a place in it is outside of the file") from error
+
+
 class Archive(zipfile.ZipFile):
     """A zip file that is read: no member is unpacked beyond the size in its header, nor all of them
     beyond `LARGEST_ARCHIVE`."""
 
     def __init__(self, file: Path) -> None:
-        super().__init__(file)
+        with _name_damage():
+            super().__init__(file)
         names = self.namelist()
         for each in self.infolist():
             if each.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -131,7 +157,7 @@ class Archive(zipfile.ZipFile):
             raise zipfile.BadZipFile(f"unpacked it has {size >> 20:,} MiB, valid are {most}")
 
     def read(self, name: str, pwd: bytes | None = None) -> bytes:  # type: ignore[override]
-        with self.open(name, pwd=pwd) as member:
+        with _name_damage(), self.open(name, pwd=pwd) as member:
             return member.read(self.getinfo(name).file_size)
 
 

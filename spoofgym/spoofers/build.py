@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..core.reading import read_json
+from ..core.reading import name_file, read_json
 from ..core.registry import Spec, build_spec, make
 from ..policies.card import SPOOFER, SpooferCard
 from ..policies.onnx_file import SUFFIX
@@ -104,8 +104,11 @@ def make_spoofer(spec: SpooferSpec) -> Spoofer:
     >>> make_spoofer({"name": "ramp", "rate_mps": 0.2})
     Ramp(heading_deg=90.0, rate_mps=0.2)
     """
-    plain, amplitude = split_amplitude(read_settings(spec))
-    made: Spoofer = make("spoofer", SPOOFERS, Spoofer, resolve_spec(plain), list_shipped(SPOOFER))
+    given, file = read_settings(spec), spec.get("name") if isinstance(spec, Mapping) else spec
+    with name_file(None if given is spec else file):
+        plain, amplitude = split_amplitude(given)
+        plain = resolve_spec(plain)
+        made: Spoofer = make("spoofer", SPOOFERS, Spoofer, plain, list_shipped(SPOOFER))
     return made if amplitude is None else Scaled(made, amplitude)
 
 

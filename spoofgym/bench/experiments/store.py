@@ -131,7 +131,8 @@ class Store:
             found = read_json(path, object)
         except FileError as error:
             raise ValueError(f"{path} is damaged ({error}); choose another folder") from error
-        if not isinstance(found, dict) or not {"experiment", "format", "config"} <= {*found}:
+        keys = {"experiment", "format", "config"}
+        if not isinstance(found, dict) or not keys <= {*found} or type(found["config"]) is not dict:
             raise ValueError(
                 f"{path} is of an older format, or of another program; choose another folder"
             )

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
-from ...core.reading import read_file, read_json
+from ...core.reading import name_file, read_file, read_json
 from ...core.registry import build, check_choice
 from ...core.settings import describe
 from .action import ACTION_TERMS, ActionTerm
@@ -68,11 +68,12 @@ def make_terms(kind: str, spec: Any) -> tuple[Any, ...]:
     (AtAlarm(), AtDisplacement(limit_m=50.0))
     """
     check_choice("kind of terms", kind, TERMS)
+    file = None
     if isinstance(spec, PurePath) or (isinstance(spec, str) and spec.endswith(SUFFIXES)):
-        spec = _read_terms(kind, Path(spec))
-    if isinstance(spec, list | tuple):
-        return tuple(_make(kind, each) for each in spec)
-    return (_make(kind, spec),)
+        file, spec = spec, _read_terms(kind, Path(spec))
+    with name_file(file):
+        several = spec if isinstance(spec, list | tuple) else (spec,)
+        return tuple(_make(kind, each) for each in several)
 
 
 def _make(kind: str, spec: Any) -> Any:
