@@ -30,6 +30,7 @@ MOST_CELLS, MOST_COLUMNS = 2**23, 1000
 """Values and columns of a table."""
 DEEPEST = 100
 """Objects and lists of JSON within each other."""
+TOO_DEEP = f"valid are at most {DEEPEST} lists and objects within each other"
 
 
 class FileError(ValueError):
@@ -91,7 +92,9 @@ def parse_json(content: bytes | str, where: str, kind: type = dict) -> Any:
         _check_depth(found)
         if "\\u" in text:
             json.dumps(found, ensure_ascii=False).encode()  # or half of a surrogate pair
-    except (ValueError, RecursionError) as error:
+    except RecursionError as error:
+        raise FileError(f"{where} is not JSON: {TOO_DEEP}") from error
+    except ValueError as error:
         raise FileError(f"{where} is not JSON: {error}") from error
     if not isinstance(found, kind):
         raise FileError(f"{where} must be an object of JSON, got {type(found).__name__}")
@@ -109,7 +112,7 @@ def _check_depth(found: Any) -> None:
         ]
         if not level:
             return
-    raise ValueError(f"valid are at most {DEEPEST} lists and objects within each other")
+    raise ValueError(TOO_DEEP)
 
 
 def _refuse(word: str) -> NoReturn:
@@ -163,10 +166,10 @@ class Archive(zipfile.ZipFile):
 
 def check_table(rows: int, columns: int) -> None:
     """Raise a ValueError where a table would be too large for the memory."""
-    if rows * columns > MOST_CELLS:
-        raise ValueError(f"it must hold at most {MOST_CELLS} values, got {rows * columns}")
     if columns > MOST_COLUMNS:
         raise ValueError(f"it must have at most {MOST_COLUMNS} columns, got {columns}")
+    if rows * columns > MOST_CELLS:
+        raise ValueError(f"it must hold at most {MOST_CELLS} values, got {rows * columns}")
 
 
 def parse_array(data: bytes) -> NDArray[Any]:
