@@ -17,6 +17,7 @@ import signal
 import tempfile
 import time
 import traceback
+import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Callable
@@ -331,6 +332,7 @@ def _run_child(name: str, numbers: range, write: int) -> None:
     """Try cases in this process, which was forked for it; a line for each outcome."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    warnings.simplefilter("ignore")
     reader = READERS[name]
     with tempfile.TemporaryDirectory() as folder, os.fdopen(write, "w", buffering=1) as out:
         corpus = reader.corpus()

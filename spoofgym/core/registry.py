@@ -28,9 +28,13 @@ def require(good: object, message: str) -> None:
         raise ValueError(message)
 
 
+SHOWN, LONGEST = 200, 10_000
+"""Characters of a text that a message repeats, and of a name and settings that are no JSON."""
+
+
 def suggest_name(value: object, names: Iterable[str]) -> str:
     """End of a message: which of the names is nearly the one that was given."""
-    near = difflib.get_close_matches(str(value), list(names), n=1)
+    near = difflib.get_close_matches(str(value)[:SHOWN], list(names), n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
@@ -43,7 +47,8 @@ def check_choice(
         if renamed and value in renamed:
             raise ValueError(f"{word} {value!r} is now called {renamed[value]!r}")
         hint = suggest_name(value, names)
-        raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")
+        given = repr(value)[:SHOWN]
+        raise ValueError(f"unknown {word} {given}; valid: {', '.join(names)}{hint}")
 
 
 def refuse_pickle(name: Any) -> None:
@@ -153,8 +158,6 @@ def check_keywords(
 
 
 Spec = dict[str, Any]
-SHOWN = 200
-"""Characters of a text that a message repeats."""
 _WORDS = {"None": None, "True": True, "False": False}
 _COMMAS = r",(?![^\[\]]*\])"  # commas between settings, not those within the brackets of a list
 
@@ -175,6 +178,8 @@ def parse_spec(text: str) -> Spec:
         if not isinstance(spec.get("name"), str):
             raise ValueError(f'{text!r} must have a "name"')
         return dict(spec)
+    if len(text) > LONGEST:
+        raise ValueError(f"a name and settings have at most {LONGEST} characters, got {len(text)}")
     name, _, rest = text.rpartition(":")
     if not name or "=" not in rest:
         name, rest = text, ""

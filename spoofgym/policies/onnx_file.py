@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.reading import name_file
 from .card import PolicyFile, State
 
 if TYPE_CHECKING:
@@ -56,6 +57,11 @@ NEXT = "next_"
 
 def read_model(content: bytes, where: str) -> ModelProto:
     """Parse an ONNX file, and refuse what a policy may not hold."""
+    with name_file(where):  # also where a name in it is no text
+        return _read_model(content, where)
+
+
+def _read_model(content: bytes, where: str) -> ModelProto:
     import onnx
     from google.protobuf.message import DecodeError
 

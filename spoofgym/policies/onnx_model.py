@@ -85,7 +85,7 @@ class OnnxModel:
         """Start a session; the names of observation and action are those that are no state's."""
         try:
             session = make_session(self.content)
-        except _failures() as error:
+        except (*_failures(), RuntimeError, ValueError) as error:
             raise ValueError(f"{self.path} can't be run: {error}") from error
         states = {each.name for each in self.state}
         states |= {f"{NEXT}{name}" for name in states}

@@ -44,10 +44,10 @@ def trials(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     return started
 
 
-WIDE = behind(  # a product of 1 MiB a row, which is 1.07 GB of the largest batch
+WIDE = behind(  # a product of 128 KiB a row, 2 GiB in the largest batch
     helper.make_node("MatMul", ["observation", "wide"], ["q"]),
     helper.make_node("ReduceMean", ["q", "axis"], ["r"], keepdims=1),
-    wide=np.zeros((6, 1 << 17), np.float32),
+    wide=np.zeros((6, 1 << 15), np.float32),
     axis=np.array([1]),
 )
 

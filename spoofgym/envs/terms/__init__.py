@@ -35,6 +35,7 @@ ActionSpec = _Name | PurePath | ActionTerm | Sequence[_Name | ActionTerm]
 RewardSpec = _Name | PurePath | RewardTerm | Sequence[_Name | RewardTerm]
 EndSpec = _Name | PurePath | EndTerm | Sequence[_Name | EndTerm]
 SUFFIXES = (".json", ".toml")
+LARGEST_TOML = 2**18  # [bytes]
 
 
 class _Nothing:
@@ -101,7 +102,7 @@ def _read_terms(kind: str, path: Path) -> Any:
         if path.suffix == ".json":
             content = read_json(path, object)
         else:
-            content = tomllib.loads(read_file(path).decode())
+            content = tomllib.loads(read_file(path, LARGEST_TOML).decode())
     except OSError as error:
         if not isinstance(error, FileNotFoundError):
             raise ValueError(f"{str(path)!r} can't be read: {error}") from error
