@@ -7,6 +7,7 @@ import io
 import json
 import os
 import resource
+import threading
 import time
 import zipfile
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 from numpy.lib import format as npy
 
+from spoofgym.calibration.clean_runs import map_ordered
 from spoofgym.core.reading import (
     LARGEST_ARCHIVE,
     Archive,
@@ -24,9 +26,13 @@ from spoofgym.core.reading import (
     parse_json,
     read_json,
 )
+from spoofgym.core.registry import parse_spec
 from spoofgym.data.rinex import read_navigation
 from spoofgym.data.tracks import read_track
+from spoofgym.detectors.build import make_detector
 from spoofgym.policies.card import LARGEST_CARD, Card
+from spoofgym.simulation.engine import processors
+from spoofgym.truth.scenario import make_scenario
 
 MEMORY, GROWTH, TIME_S = 3 << 30, 500 << 10, 5.0  # bytes; kilobytes; of the processor
 
@@ -149,3 +155,29 @@ def test_arrays_and_archives_are_refused_from_their_headers(tmp_path: Path) -> N
     path.write_bytes(content.replace(size, (10).to_bytes(4, "little")))
     with pytest.raises(zipfile.BadZipFile, match="CRC"), Archive(path) as file:
         file.read("a")
+
+
+@pytest.mark.parametrize(
+    ("make", "text", "message"),
+    [
+        (make_scenario, "zhong2025:epoch_interval_s=0", "`epoch_interval_s` must be a .* got 0"),
+        (make_scenario, "zhong2025:events=3", "`events` must be settings of events or None, got 3"),
+        (make_detector, "ewma:max_exclusion_s=" + "9" * 400, "`max_exclusion_s` must be .*got"),
+        (make_detector, '{"name": "ewma", "smoothing": ' + "9" * 400 + "}", "at most 60 digits"),
+        (make_detector, {"name": "ewma", "smoothing": 10**400}, "`smoothing` must be"),
+        (make_detector, "x" * 10**6, "at most 10000 characters, got 1000000"),
+        (make_detector, '{"name": "' + "x" * 10**6 + '"}', "unknown detector 'xxx"),
+    ],
+)
+def test_settings_that_no_world_has_end_in_one_line(make: Any, text: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        make(parse_spec(text) if isinstance(text, str) else text)
+    assert len(str(caught.value)) < 1500
+
+
+def test_no_more_threads_are_started_than_there_are_processors() -> None:
+    def work(item: int, stopped: Any) -> int:
+        return threading.active_count()
+
+    most = threading.active_count() + processors()
+    assert max(map_ordered(work, range(50), 10**9)) <= most
