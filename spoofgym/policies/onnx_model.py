@@ -85,7 +85,7 @@ class OnnxModel:
         """Start a session; the names of observation and action are those that are no state's."""
         try:
             session = make_session(self.content)
-        except (*_failures(), RuntimeError, ValueError) as error:
+        except _failures() as error:
             raise ValueError(f"{self.path} can't be run: {error}") from error
         states = {each.name for each in self.state}
         states |= {f"{NEXT}{name}" for name in states}
@@ -109,8 +109,9 @@ def make_session(content: bytes) -> Any:
 
 
 def _failures() -> tuple[type[Exception], ...]:
-    """What onnxruntime raises: classes of its own, that share only `Exception`."""
+    """What onnxruntime raises: also classes of its own, that share only `Exception`."""
     from onnxruntime.capi import onnxruntime_pybind11_state as state
 
     kinds = (getattr(state, name) for name in dir(state))
-    return tuple(k for k in kinds if isinstance(k, type) and issubclass(k, Exception))
+    own = (k for k in kinds if isinstance(k, type) and issubclass(k, Exception))
+    return (RuntimeError, ValueError, *own)

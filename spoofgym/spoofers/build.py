@@ -105,7 +105,7 @@ def make_spoofer(spec: SpooferSpec) -> Spoofer:
     Ramp(heading_deg=90.0, rate_mps=0.2)
     """
     given, file = read_settings(spec), spec.get("name") if isinstance(spec, Mapping) else spec
-    with name_file(None if given is spec else file):
+    with name_file(None if given is spec else str(file)):
         plain, amplitude = split_amplitude(given)
         plain = resolve_spec(plain)
         made: Spoofer = make("spoofer", SPOOFERS, Spoofer, plain, list_shipped(SPOOFER))
