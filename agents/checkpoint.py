@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import struct
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BytesIO
@@ -17,13 +19,14 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 from spoofgym.core.files import write_file
+from spoofgym.core.reading import Archive, parse_json
 
 WEIGHTS, STATE = "parameters.pt", "state.json"
 RUNNING = {"obs_rms": ("mean", "var", "count"), "ret_rms": ("mean", "var", "count")}
 """Running statistics of a `VecNormalize`."""
 DAMAGED = (
-    *(zipfile.BadZipFile, KeyError, ValueError, TypeError, RuntimeError, OSError),
-    *(EOFError, UnpicklingError),
+    *(zipfile.BadZipFile, zlib.error, struct.error, LookupError, ValueError, TypeError),
+    *(RuntimeError, OSError, EOFError, UnpicklingError, AttributeError, AssertionError),
 )
 
 
@@ -44,15 +47,19 @@ def write_checkpoint(
 
 
 @contextmanager
-def open_checkpoint(path: Path) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+def open_checkpoint(
+    path: Path, files: Sequence[Path] = ()
+) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
     """Tensors and state of a checkpoint, whose files are written beside it when the block has taken
-    them over; a ValueError where they are damaged, or fit nothing there."""
+    them over; a ValueError where they are damaged, fit nothing there, or are none of `files`."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            state = dict(json.loads(archive.read(STATE)))
+        with Archive(path) as archive:
+            state = parse_json(archive.read(STATE), STATE)
             tensors = torch.load(BytesIO(archive.read(WEIGHTS)), weights_only=True)
-            names = [each for each in archive.namelist() if each not in (WEIGHTS, STATE)]
-            files = {name: archive.read(name) for name in names if Path(name).name == name}
+            names = {*archive.namelist()} - {WEIGHTS, STATE}
+            if strange := names - {each.name for each in files}:
+                raise ValueError(f"it holds {', '.join(sorted(strange))}, which is not its own")
+            found = {name: archive.read(name) for name in names}
         yield tensors, state
     except DAMAGED as error:
         first = str(error).strip().partition("\n")[0]
@@ -60,7 +67,7 @@ def open_checkpoint(path: Path) -> Iterator[tuple[dict[str, Any], dict[str, Any]
             f"{path} is damaged, or of another model ({first}): remove it, and the training begins "
             "anew"
         ) from error
-    for name, content in files.items():
+    for name, content in found.items():
         write_file(path.parent / name, content)
 
 
@@ -81,9 +88,11 @@ def save_checkpoint(
     write_checkpoint(path, tensors, {**state, "steps": model.num_timesteps}, files)
 
 
-def load_checkpoint(path: Path, model: BaseAlgorithm, envs: VecNormalize) -> dict[str, Any]:
-    """Take over a checkpoint; its state."""
-    with open_checkpoint(path) as (tensors, state):
+def load_checkpoint(
+    path: Path, model: BaseAlgorithm, envs: VecNormalize, files: Sequence[Path] = ()
+) -> dict[str, Any]:
+    """Take over a checkpoint; its state. `files` as `save_checkpoint` takes them."""
+    with open_checkpoint(path, files) as (tensors, state):
         for name, keys in RUNNING.items():
             found = tensors.pop(name)
             for key in keys:

@@ -24,6 +24,7 @@ from spoofgym.bench.experiments import (
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.core.files import write_file
 from spoofgym.core.progress import ProgressBar
+from spoofgym.core.reading import parse_json
 from spoofgym.core.settings import compute_digest, describe, outside_sources
 
 
@@ -102,13 +103,7 @@ def learning_versions() -> dict[str, str]:
 
 def json_object(name: str, text: str) -> dict[str, Any]:
     """JSON object of a setting; a ValueError names the setting and what it is."""
-    try:
-        found = json.loads(text)
-    except ValueError as error:
-        raise ValueError(f"`{name}` is not JSON: {error}; got {text!r}") from error
-    if not isinstance(found, dict):
-        raise ValueError(f"`{name}` must be a JSON object, got {text!r}")
-    return found
+    return dict(parse_json(text, f"`{name}`"))
 
 
 def write_json(path: Path, value: Any, indent: int | None = 1) -> None:

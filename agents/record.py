@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from spoofgym.core.files import write_file
+from spoofgym.core.reading import parse_json, read_lines
 
 Point = dict[str, Any]
 
@@ -24,11 +25,8 @@ def write_record(path: Path, points: Sequence[Point]) -> None:
 def read_record(path: str | os.PathLike[str]) -> list[Point]:
     """Points of a training record."""
     path, points = Path(path), []
-    for number, line in enumerate(path.read_bytes().splitlines(), start=1):
-        try:
-            point = json.loads(line)
-        except ValueError as error:
-            raise ValueError(f"{path}, line {number} is not JSON: {error}") from error
+    for number, line in enumerate(read_lines(path).splitlines(), start=1):
+        point = parse_json(line, f"{path}, line {number}", object)
         if not isinstance(point, dict) or not {"step", "wall_s"} <= point.keys():
             raise ValueError(f"{path}, line {number} must have `step` and `wall_s`, got {point!r}")
         points.append(point)

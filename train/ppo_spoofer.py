@@ -251,7 +251,9 @@ class Training:
         if args.tensorboard:
             self.model.set_logger(configure(str(self.folder / "tensorboard"), ["tensorboard"]))
         if (self.folder / CHECKPOINT).is_file():
-            state = load_checkpoint(self.folder / CHECKPOINT, self.model, self.envs)
+            state = load_checkpoint(
+                self.folder / CHECKPOINT, self.model, self.envs, self.policy_files
+            )
             self.watch.restore(state["watch"])
             for name in STATE:
                 setattr(self, name, state[name])
@@ -259,6 +261,11 @@ class Training:
     @property
     def folder(self) -> Path:
         return self.args.folder(self.seed)
+
+    @property
+    def policy_files(self) -> tuple[Path, Path]:
+        policy = self.args.policy(self.seed)
+        return policy, policy.with_suffix(".json")
 
     def _learning_rate(self, _: float) -> float:
         """It falls over all stages, where the library knows of one."""
@@ -319,9 +326,7 @@ class Training:
         ]
         write_record(self.folder / RECORD, points)
         state = {name: getattr(self, name) for name in STATE} | {"watch": self.watch.state()}
-        policy = self.args.policy(self.seed)
-        files = (policy, policy.with_suffix(".json"))
-        save_checkpoint(self.folder / CHECKPOINT, self.model, self.envs, state, files)
+        save_checkpoint(self.folder / CHECKPOINT, self.model, self.envs, state, self.policy_files)
 
 
 def score_seed(

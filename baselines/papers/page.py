@@ -16,6 +16,7 @@ import typer
 from spoofgym import __version__
 from spoofgym.cli import clear_errors
 from spoofgym.core.files import whole_file, write_file
+from spoofgym.core.reading import read_json
 
 from .frame import Paper, Settings
 from .paper import ALL, KEYS, load_paper
@@ -67,7 +68,7 @@ def main(
         paper = load_paper(each)
         path = docs / f"{each}.json"
         if texts_only:
-            stored = json.loads(path.read_text(encoding="utf-8"))
+            stored = read_json(path)
         else:
             run = PaperRun(each, Settings(quick=False, seed=seed), out)
             data = run.load_data()

@@ -21,7 +21,7 @@ from ..core.declared import check_number
 from ..core.progress import NullProgress, ProgressCallback
 from ..detectors import Calibrated, Detector, Never, PooledDetector
 from ..detectors.base import judge_epoch
-from ..simulation.engine import available_threads
+from ..simulation.engine import processors
 from ..simulation.monitors import Monitor, Monitored, PassiveDetectors
 from ..simulation.setup import Setup, make_generators, seeds_of_runs
 from ..simulation.simulator import Simulator, run_serially, weighs
@@ -208,7 +208,7 @@ def map_ordered(
     """Call `work` on items in threads, all useful ones by default; results in their order."""
     stopped = threading.Event()
     waiting: deque[Future[Any]] = deque()
-    threads = available_threads(10**9) if threads is None else threads
+    threads = min(threads or processors(), processors())
     with ThreadPoolExecutor(threads) as pool:
         try:
             for item in items:

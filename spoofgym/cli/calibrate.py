@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import inspect
-import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Option
 
+from ..core.reading import parse_json
 from . import options as opt
 from .app import print_json, print_lines, progress
 from .options import WorldOptions, with_options
@@ -153,10 +153,7 @@ def _other(world: World, text: str) -> Any:
     from ..core.registry import check_keywords
 
     if text.lstrip().startswith("{"):
-        try:
-            changed = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise ValueError(f"--transfer {text!r} is not JSON: {error}") from error
+        changed = parse_json(text, f"--transfer {text[:200]!r}")
     else:
         (changed,) = ({"scenario": spec} for spec in opt.parse_specs([text]))
     known = inspect.signature(world.kind).parameters

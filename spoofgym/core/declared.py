@@ -19,7 +19,7 @@ from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
 
-from .registry import is_number, suggest_name
+from .registry import SHOWN, is_number, suggest_name
 from .settings import NEWER, OMITTED
 
 T = TypeVar("T")
@@ -55,7 +55,9 @@ class Setting:
         if (value is None and "None" in kinds) or self._is_valid(value, kinds):
             return
         hint = suggest_name(value, self.one_of)
-        raise ValueError(f"`{name}` must be {self.valid(annotation)}, got {value!r}{hint}")
+        raise ValueError(
+            f"`{name}` must be {self.valid(annotation)}, got {repr(value)[:SHOWN]}{hint}"
+        )
 
     def _is_valid(self, value: Any, kinds: set[str]) -> bool:
         if not {*NUMBERS, "bool"} & kinds and not self.one_of and not parse_list_kinds(kinds):
@@ -80,7 +82,10 @@ class Setting:
         """Whether a value is a number within the limits; `whole`: and a whole one."""
         if not is_number(value):
             return False
-        size = float(value)
+        try:
+            size = float(value)
+        except OverflowError:  # a whole number of hundreds of digits
+            return False
         if math.isnan(size) or (math.isinf(size) and not self.infinite):
             return False
         if whole and not size.is_integer():

@@ -7,14 +7,15 @@ import dataclasses
 import difflib
 import importlib
 import inspect
-import json
 import numbers
 import re
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from .reading import FileError, parse_json
 from .settings import describe, list_written
 
 T = TypeVar("T")
@@ -27,9 +28,13 @@ def require(good: object, message: str) -> None:
         raise ValueError(message)
 
 
+SHOWN, LONGEST = 200, 10_000
+"""Characters of a text that a message repeats, and of a name and settings that are no JSON."""
+
+
 def suggest_name(value: object, names: Iterable[str]) -> str:
     """End of a message: which of the names is nearly the one that was given."""
-    near = difflib.get_close_matches(str(value), list(names), n=1)
+    near = difflib.get_close_matches(str(value)[:SHOWN], list(names), n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
@@ -38,7 +43,8 @@ def check_choice(word: str, value: str, valid: Iterable[str]) -> None:
     names = sorted(valid)
     if value not in names:
         hint = suggest_name(value, names)
-        raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")
+        given = repr(value)[:SHOWN]
+        raise ValueError(f"unknown {word} {given}; valid: {', '.join(names)}{hint}")
 
 
 def refuse_pickle(name: Any) -> None:
@@ -164,13 +170,12 @@ def parse_spec(text: str) -> Spec:
     """
     text = text.strip()
     if text.startswith("{"):
-        try:
-            spec = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise ValueError(f"{text!r} is not JSON: {error}") from error
+        spec = parse_json(text, repr(text[:SHOWN]))
         if not isinstance(spec.get("name"), str):
             raise ValueError(f'{text!r} must have a "name"')
         return dict(spec)
+    if len(text) > LONGEST:
+        raise ValueError(f"a name and settings have at most {LONGEST} characters, got {len(text)}")
     name, _, rest = text.rpartition(":")
     if not name or "=" not in rest:
         name, rest = text, ""
@@ -199,12 +204,12 @@ def _value(text: str) -> Any:
     word = text.capitalize()
     if word in _WORDS:
         return _WORDS[word]
-    for read in (json.loads, float):
-        try:
-            return read(text)
-        except ValueError:
-            continue
-    return text
+    with suppress(FileError):
+        return parse_json(text, "a value", object)
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def load_class(path: str, base: Callable[..., T]) -> type[T]:
@@ -239,14 +244,15 @@ def make(
     returns it, or an object, which is copied; `more`: other valid names."""
     if isinstance(spec, str):
         spec = {"name": spec}
-    if isinstance(spec, Mapping) and ":" in str(spec.get("name", "")):
+    name = spec.get("name") if isinstance(spec, Mapping) else None
+    if isinstance(name, str) and ":" in name:
         settings = dict(spec)
-        refuse_pickle(spec["name"])
+        refuse_pickle(name)
         kind = load_class(settings.pop("name"), base)
         try:
             return kind(**settings)
         except TypeError as error:
-            raise ValueError(f"{word} {spec['name']!r}: {error}") from error
+            raise ValueError(f"{word} {name!r}: {error}") from error
     return build(word, kinds, base, spec, more=more)
 
 

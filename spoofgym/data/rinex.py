@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..core.reading import FileError, read_lines
 from ..core.registry import require
 from .ephemerides import ORBIT_FIELDS, SECONDS_PER_WEEK, Ephemerides, gps_seconds
-from .tracks import FileError, read_file
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -143,7 +143,7 @@ def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
 def _read_lines(path: Path) -> list[str]:
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")
-    content = read_file(path)
+    content = read_lines(path)
     if content.startswith(COMPRESS_MAGIC):
         raise FileError(f"{path} is compressed by `compress`; unpack it first (`gzip -d` does)")
     return content.decode("ascii", errors="replace").splitlines()

@@ -3,15 +3,14 @@ next."""
 
 from __future__ import annotations
 
-import gzip
-import json
+import csv
 import math
 import re
-import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from io import BytesIO, StringIO
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,31 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.declared import check_word
+from ..core.reading import FileError, check_table, parse_json, read_file, read_lines
 from ..core.registry import require
-
-GZIP_MAGIC = b"\x1f\x8b"
-LARGEST_SIZE = 64 * 2**20  # of a file, unpacked [bytes]: twice a day of records once a second
-
-
-class FileError(ValueError):
-    """A file that isn't what it should be; the message names file, place and what is valid."""
-
-
-def read_file(path: Path) -> bytes:
-    """All of a file, unpacked where its first bytes say that gzip packed it. More than
-    `LARGEST_SIZE` bytes are a `FileError`, as are damaged gzip data."""
-    with path.open("rb") as file:
-        packed = file.read(len(GZIP_MAGIC)) == GZIP_MAGIC
-        file.seek(0)
-        try:
-            content = (gzip.GzipFile(fileobj=file) if packed else file).read(LARGEST_SIZE + 1)
-        except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-            raise FileError(f"{path}: its gzip data are damaged or cut short: {error}") from error
-    if len(content) > LARGEST_SIZE:
-        size = f"{LARGEST_SIZE // 2**20} MiB{' unpacked' if packed else ''}"
-        raise FileError(f"{path} is too large: valid are at most {size}")
-    return content
-
 
 if TYPE_CHECKING:
     import pandas
@@ -99,6 +75,8 @@ NAMELESS = {  # names of the values of a row, by the key of rows without them
     "path": ("time", "latitude", "longitude", "baro_altitude", "true_track", "on_ground"),
     "trace": ("after_s", "lat", "lon", "alt_baro", "gs", "track", "flags", "baro_rate"),
 }
+COLUMNS = {*TIME, *POSITION_TIME, *AIRCRAFT, "position"}.union(*QUANTITIES.values())
+"""All names that a column of a track may have, but for units."""
 NESTS = ("result", "response", "data", "flight")  # keys of what holds rows further down
 ROWS = (*NAMELESS, "aircraft", "ac", "tracks", "track", "trail", *NESTS)  # keys of rows
 MEANT = ("feet", "kts", "fpm")  # of a value that is given in several units
@@ -160,7 +138,7 @@ def read_track(
         kind in {"csv", "json", "jsonl", "ndjson", "parquet", "pq"},
         f"`path` must end in .csv, .json, .jsonl or .parquet, got {path.name!r}",
     )
-    content = read_file(path)
+    content = (read_file if kind in {"parquet", "pq"} else read_lines)(path)
     try:
         frame = _frame(content, kind)
     except ImportError:
@@ -180,18 +158,40 @@ def first_line(error: Exception) -> str:
 
 
 def _frame(content: bytes, kind: str) -> pandas.DataFrame:
-    import pandas
-
     if kind == "csv":
         return _read_csv(content)
     if kind.endswith("json") or kind == "jsonl":
-        return pandas.DataFrame(_read_json(_decode(content), kind != "json"))
-    from pyarrow.parquet import read_metadata
+        return _make_frame(_read_json(_decode(content), kind != "json"))
+    return _read_parquet(content)
 
-    about = read_metadata(BytesIO(content))
-    if (size := 8 * about.num_rows * about.num_columns) > LARGEST_SIZE:
-        raise ValueError(f"it must hold at most {LARGEST_SIZE // 8} values, got {size // 8}")
-    return pandas.read_parquet(BytesIO(content))
+
+def _read_parquet(content: bytes) -> pandas.DataFrame:
+    """Table of the columns of a track alone; texts are not repeated in memory."""
+    from pyarrow.parquet import ParquetFile, read_table
+
+    schema = ParquetFile(BytesIO(content))
+    about, columns = schema.metadata, [*map(schema.schema.column, range(len(schema.schema)))]
+    flat = [each for each in columns if each.name == each.path and not each.max_repetition_level]
+    read = [each for each in flat if _is_of_track(each.name)]
+    require(read, f"none of its columns is one of a track: {', '.join(x.path for x in columns)}")
+    check_table(about.num_rows, len(read))
+    texts = [each.name for each in read if each.physical_type == "BYTE_ARRAY"]
+    table = read_table(
+        BytesIO(content),
+        columns=[each.name for each in read],
+        read_dictionary=texts,
+        use_threads=False,
+    )
+    frame = table.to_pandas(use_threads=False)
+    return frame.astype({name: object for name in texts if frame[name].dtype == "category"})
+
+
+def _is_of_track(name: str) -> bool:
+    """Whether a column may be one of a track, with a unit or without."""
+    plain = _plain_name(name)
+    return plain in COLUMNS or any(
+        plain == f"{each}_{unit}" for each in COLUMNS for unit in FACTORS
+    )
 
 
 def _decode(content: bytes) -> str:
@@ -209,6 +209,8 @@ def _read_csv(content: bytes) -> pandas.DataFrame:
     if not head:
         return pandas.DataFrame()
     apart = max(",;\t|", key=head.count)
+    rows = csv.reader(StringIO(text.lstrip()), delimiter=apart, skipinitialspace=True)
+    check_table(text.count("\n") + 1, max(map(len, islice(filter(None, rows), 2)), default=0))
     names = pandas.read_csv(StringIO(text), sep=apart, nrows=0).columns
     kinds = {name: str for name in names if _plain_name(name) in AIRCRAFT}
     return pandas.read_csv(
@@ -220,18 +222,25 @@ def _read_csv(content: bytes) -> pandas.DataFrame:
 def _read_json(text: str, by_line: bool) -> Any:
     """Rows of a JSON text, or columns by name."""
     if by_line:
-        lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
-        found = []
-        for number, line in lines:
-            try:
-                found.append(json.loads(line))
-            except ValueError as error:
-                raise ValueError(f"line {number} is no JSON: {error}") from error
+        lines = enumerate(text.splitlines(), 1)
+        found = [parse_json(x, f"its line {k}", object) for k, x in lines if x.strip()]
     else:
-        found = json.loads(text)
+        found = parse_json(text, "its text", object)
     if not isinstance(found, (list, dict)):
         raise ValueError("it must hold a list of records or columns by name")
     return found if _is_columns(found) else list(_rows(found, {}))
+
+
+def _make_frame(found: list[Any] | dict[str, Any]) -> pandas.DataFrame:
+    """Table of rows, or of columns by name, of which each may be a mapping itself."""
+    import pandas
+
+    parts = list(found.values()) if isinstance(found, dict) else found
+    names = {name for each in parts if isinstance(each, dict) for name in each}
+    most = max((len(each) for each in parts if isinstance(each, list)), default=0)
+    rows, columns = len(parts), max(len(names), most)
+    check_table(*((columns, rows) if isinstance(found, dict) else (rows, columns)))
+    return pandas.DataFrame(found)
 
 
 def _is_columns(found: Any) -> bool:

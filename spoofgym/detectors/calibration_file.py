@@ -31,6 +31,7 @@ import platformdirs
 
 from ..core.declared import check_number
 from ..core.files import write_file
+from ..core.reading import read_json
 from ..core.registry import require
 from ..core.settings import compute_digest, describe, diff_settings
 from .base import FloatArray
@@ -385,7 +386,7 @@ class Calibration:
 @lru_cache(maxsize=256)
 def _load(path: str, modified: int) -> Calibration:
     try:
-        found = json.loads(Path(path).read_text(encoding="utf-8"))
+        found = read_json(path)
         checksum = found.pop("checksum", None)  # not in files of before it
         damaged = checksum not in (None, _compute_checksum(found))
         version = found.pop("format")

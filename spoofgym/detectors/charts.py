@@ -109,7 +109,9 @@ class WeighingChart(Detector):
     def _declare_exclusions(self, context: DetectorContext) -> None:
         limit_s, interval_s = self.max_exclusion_s, context.epoch_interval_s
         never = int(np.iinfo(np.int64).max)
-        self._longest = never if limit_s is None else max(1, round(limit_s / interval_s))
+        self._longest = (
+            never if limit_s is None else max(1, round(min(limit_s / interval_s, never)))
+        )
         shape = (context.receivers, context.channels)
         self.memory.declare("excluded", np.zeros(shape, dtype=np.int64))
 

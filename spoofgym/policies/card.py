@@ -11,7 +11,7 @@ import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NoReturn, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
     BaseModel,
@@ -27,12 +27,14 @@ from pydantic import (
 )
 
 from ..core.files import write_file
+from ..core.reading import FileError, read_json
 from ..core.settings import format_card_diff
 
 SPOOFER, DETECTOR = "spoofer", "detector"
 """Sides of a card."""
 NAME = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # what a spoofer with a card may be called
 FORMAT = 2
+LARGEST_CARD = 2**22  # [bytes]
 SIDES = {"onnx-policy": SPOOFER, "profile": SPOOFER, "detector-policy": DETECTOR}
 """Of the kinds of cards, which is all that format 1 has of a side."""
 
@@ -123,12 +125,11 @@ class Card(Record):
         """Read a card, of either side by `Card`; a ValueError says what is wrong with it."""
         path = Path(path)
         try:
-            text = path.read_text(encoding="utf-8")
-            fields = json.loads(text, parse_constant=_refuse)
+            fields = read_json(path, object, LARGEST_CARD)
         except OSError as error:
             raise ValueError(f"there is no card {path} ({error.strerror})") from error
-        except (ValueError, RecursionError) as error:
-            raise ValueError(f"card {path} is not JSON: {error}") from error
+        except FileError as error:
+            raise FileError(f"card {error}") from error
         fields = _upgrade_fields(fields)
         side = fields.get("side") if isinstance(fields, dict) else None
         found = CARDS.get(side) if isinstance(side, str) else None
@@ -428,10 +429,6 @@ def _upgrade_fields(fields: Any) -> Any:
         return fields
     side = SIDES.get(str(fields.get("kind")))
     return {**fields, "format": FORMAT, **({"side": side} if side else {})}
-
-
-def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant} is no number")
 
 
 def format_error(error: ValidationError) -> str:

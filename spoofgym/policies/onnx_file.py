@@ -9,12 +9,14 @@ functions.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.reading import name_file
 from .card import PolicyFile, State
 
 if TYPE_CHECKING:
@@ -41,6 +43,10 @@ OPERATORS = frozenset(
 """Standard operators that a policy may have: no control flow, no chance, nothing of images."""
 GROWING = frozenset(("ConstantOfShape", "Expand", "OneHot", "Pad", "Range", "Tile"))
 """Operators whose result is as large as some number says; that has to follow from the graph."""
+SHAPES = {"ConstantOfShape": 0, "Expand": 1, "Reshape": 1, "Tile": 1}
+"""Operators with a shape among their inputs, and which of them that is."""
+LARGEST_TENSOR, MOST_DIMENSIONS = 1 << 24, 64
+"""Elements of a tensor, for `BATCHES[0]` observations, and of a shape."""
 LARGEST_BYTES, MOST_OPERATORS, MOST_TENSORS = 32 << 20, 5_000, 5_000
 """Of a file; a policy decides hundreds of times an episode.  Tensors are those that it stores."""
 BATCHES = (16, 32)
@@ -51,6 +57,11 @@ NEXT = "next_"
 
 def read_model(content: bytes, where: str) -> ModelProto:
     """Parse an ONNX file, and refuse what a policy may not hold."""
+    with name_file(where):  # also where a name in it is no text
+        return _read_model(content, where)
+
+
+def _read_model(content: bytes, where: str) -> ModelProto:
     import onnx
     from google.protobuf.message import DecodeError
 
@@ -70,7 +81,7 @@ def read_model(content: bytes, where: str) -> ModelProto:
         raise ValueError(f"{where} defines the function {model.functions[0].name}; inline it")
     for node in model.graph.node:
         _check_operator(node, where)
-    for tensor in _list_tensors(model.graph):
+    for tensor in _list_tensors(model.graph, where):
         if tensor.external_data or tensor.data_location:
             raise ValueError(
                 f"{where} keeps its tensor {tensor.name!r} in external data, outside of the file; "
@@ -101,24 +112,31 @@ def _check_operator(node: NodeProto, where: str) -> None:
             raise ValueError(f"{where} has a graph within its operator {node.op_type}")
 
 
-def _list_tensors(graph: GraphProto) -> Iterator[TensorProto]:
-    """All tensors with values of their own."""
+def _list_tensors(graph: GraphProto, where: str) -> Iterator[TensorProto]:
+    """All tensors with values of their own; sparse ones, which unpack to any size, are refused."""
     yield from graph.initializer
-    sparse = [*graph.sparse_initializer]
+    sparse = bool(graph.sparse_initializer)
     for node in graph.node:
         for attribute in node.attribute:
             yield from ([attribute.t] if attribute.HasField("t") else attribute.tensors)
-            sparse += [attribute.sparse_tensor] if attribute.HasField("sparse_tensor") else []
-            sparse += attribute.sparse_tensors
-    for each in sparse:
-        yield from (each.values, each.indices)
+            sparse |= attribute.HasField("sparse_tensor") or bool(attribute.sparse_tensors)
+    if sparse:
+        raise ValueError(f"{where} has a sparse tensor; a policy may have whole ones")
 
 
 def _check_shapes(model: ModelProto, where: str) -> None:
     """Refuse a tensor that is not of a fixed size, or in proportion to the batch. Only where an
     operator can make a tensor larger, that has to follow from the graph."""
     small, large = (_inferred_sizes(model, batch) for batch in BATCHES)
+    lengths = {each.name: math.prod(each.dims) for each in model.graph.initializer} | small
     for node in model.graph.node:
+        shapes = node.input[SHAPES[node.op_type] :][:1] if node.op_type in SHAPES else ()
+        largest = max((small.get(name, 0) for name in node.output), default=0)
+        if largest > LARGEST_TENSOR or any(lengths.get(k, 0) > MOST_DIMENSIONS for k in shapes):
+            raise ValueError(
+                f"{where} has the operator {node.op_type} with a tensor that is too large: valid "
+                f"are {LARGEST_TENSOR:,} elements and {MOST_DIMENSIONS} dimensions"
+            )
         for name in filter(None, node.output):
             size, larger = small.get(name), large.get(name)
             if size is None:

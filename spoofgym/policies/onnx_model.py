@@ -109,8 +109,9 @@ def make_session(content: bytes) -> Any:
 
 
 def _failures() -> tuple[type[Exception], ...]:
-    """What onnxruntime raises: classes of its own, that share only `Exception`."""
+    """What onnxruntime raises: also classes of its own, that share only `Exception`."""
     from onnxruntime.capi import onnxruntime_pybind11_state as state
 
     kinds = (getattr(state, name) for name in dir(state))
-    return tuple(k for k in kinds if isinstance(k, type) and issubclass(k, Exception))
+    own = (k for k in kinds if isinstance(k, type) and issubclass(k, Exception))
+    return (RuntimeError, ValueError, *own)

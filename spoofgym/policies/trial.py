@@ -29,15 +29,15 @@ from .contract import FloatArray, NotFinite
 from .onnx_file import check_signature, get_opset, read_model
 from .onnx_model import Float32Array, OnnxModel
 
-VERSION = 1
+VERSION = 2
 """Of what is checked; a file that passed another version is tried again."""
 TRIED, PARTS = 16, (1, 2, 3)
 """Observations that a network is tried on, and sizes of smaller batches of the same."""
-TILED, ROLLED = 8, 128
-"""How many times as many are one larger batch, and decisions in a row of a network with states."""
+TILED, ROLLED = (8, 65, 1024), 128
+"""How many times as many are a larger batch, and decisions in a row of a network with states."""
 WIDEST = 10.0
 """Largest element of these observations."""
-TIME_S, MEMORY, PATIENCE_S = 5, 4 << 30, 120.0
+TIME_S, MEMORY, PATIENCE_S = 5, 1 << 30, 120.0
 """Time of the processor and memory of a trial, and how long another process may be waited for."""
 _own: set[str] = set()
 """Digests of what this process has exported."""
@@ -151,9 +151,10 @@ def check_answers(model: OnnxModel, space: Space) -> None:
     try:
         whole, again = _step_batch(model, seen, states), _step_batch(model, seen, states)
         parts = [_step_batch(model, seen[k], [each[k] for each in states]) for k in slices]
-        large = _step_batch(
-            model, np.tile(seen, (TILED, 1)), [np.tile(each, (TILED, 1)) for each in states]
-        )
+        larger = [
+            _step_batch(model, np.tile(seen, (n, 1)), [np.tile(each, (n, 1)) for each in states])
+            for n in TILED
+        ]
         apart = _roll_out(model, seen, states, 1) if model.state else whole
         rolled = _roll_out(model, seen, states, TRIED) if model.state else whole
     except NotFinite as error:
@@ -161,7 +162,8 @@ def check_answers(model: OnnxModel, space: Space) -> None:
     if again.tobytes() != whole.tobytes():
         raise ValueError(f"{model.path} answers the same observation differently the second time")
     pairs = [(part, whole[k]) for part, k in zip(parts, slices, strict=True)]
-    pairs += [(large, np.tile(whole, (TILED, 1))), (apart, rolled[: len(apart)])]
+    pairs += [(large, np.tile(whole, (n, 1))) for n, large in zip(TILED, larger, strict=True)]
+    pairs += [(apart, rolled[: len(apart)])]
     if any(mine.tobytes() != other.tobytes() for mine, other in pairs):
         raise ValueError(
             f"{model.path} answers the same observation otherwise in another batch: nothing may "

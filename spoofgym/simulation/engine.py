@@ -115,7 +115,7 @@ class Engine:
         if threads is not None:
             check_number("threads", threads, least=1, whole=True)
         self.receivers, self.setup = receivers, setup
-        useful = available_threads(receivers) if threads is None else threads
+        useful = available_threads(receivers) if threads is None else min(threads, processors())
         self.threads = useful if setup.threaded else 1
         self.warm_pool = None if warm_pool is None else whole_number("`warm_pool`", warm_pool, 1)
         prefetch = prefetch and warm_pool is None

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
+from ..core.reading import name_file, read_json
 from ..core.registry import Spec, build_spec, make
 from ..policies.card import SPOOFER, SpooferCard
 from ..policies.onnx_file import SUFFIX
@@ -68,8 +67,8 @@ def read_settings(spec: Any) -> Any:
     file = given.pop("name", None)
     if not isinstance(file, str) or not file.endswith(".json"):
         return spec
-    found = json.loads(Path(file).read_bytes())
-    if not isinstance(found, dict) or "name" not in found:
+    found = read_json(file)
+    if "name" not in found:
         raise ValueError(f"{file} has no name and settings of a spoofer")
     return {**found, **given}
 
@@ -104,8 +103,11 @@ def make_spoofer(spec: SpooferSpec) -> Spoofer:
     >>> make_spoofer({"name": "ramp", "rate_mps": 0.2})
     Ramp(heading_deg=90.0, rate_mps=0.2)
     """
-    plain, amplitude = split_amplitude(read_settings(spec))
-    made: Spoofer = make("spoofer", SPOOFERS, Spoofer, resolve_spec(plain), list_shipped(SPOOFER))
+    given, file = read_settings(spec), spec.get("name") if isinstance(spec, Mapping) else spec
+    with name_file(None if given is spec else str(file)):
+        plain, amplitude = split_amplitude(given)
+        plain = resolve_spec(plain)
+        made: Spoofer = make("spoofer", SPOOFERS, Spoofer, plain, list_shipped(SPOOFER))
     return made if amplitude is None else Scaled(made, amplitude)
 
 

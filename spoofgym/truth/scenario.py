@@ -133,6 +133,8 @@ class Scenario:
         check_choice("imu grade", self.imu, IMU_GRADES)
         if isinstance(self.events, Mapping):
             object.__setattr__(self, "events", build_record("events", BenignEvents, self.events))
+        events = self.events is None or isinstance(self.events, BenignEvents)
+        require(events, f"`events` must be settings of events or None, got {self.events!r}")
 
     @property
     def label(self) -> str:

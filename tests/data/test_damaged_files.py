@@ -9,10 +9,11 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
+from spoofgym.core.reading import MOST_CELLS, FileError, read_file
 from spoofgym.data.cleaning import clean_track
 from spoofgym.data.ephemerides import propagate_orbits, screen
 from spoofgym.data.rinex import RANGES, read_navigation
-from spoofgym.data.tracks import LARGEST_SIZE, FileError, read_file, read_track
+from spoofgym.data.tracks import read_track
 
 from .test_rinex import G05, G12, HEADER_2, HEADER_3, to_version_3
 
@@ -125,7 +126,7 @@ def test_gzip_data_that_are_cut_or_damaged_or_a_bomb(tmp_path, reader, monkeypat
         with pytest.raises(FileError, match=r"file\.json\.gz: its gzip data are damaged or cut"):
             reader(path)
     path.write_bytes(gzip.compress(bytes(5 * 2**22)))
-    monkeypatch.setattr("spoofgym.data.tracks.LARGEST_SIZE", 2**22)
+    monkeypatch.setattr("spoofgym.core.reading.LARGEST_SIZE", 2**22)
     tracemalloc.start()
     try:
         with pytest.raises(FileError, match=r"file\.json\.gz is too large: .* 4 MiB unpacked"):
@@ -143,9 +144,9 @@ def test_the_largest_file_deep_json_and_huge_numbers(tmp_path, monkeypatch):
         with pytest.raises(FileError, match=r"t\.json"):
             read_track(path)
     path.write_text(json.dumps([{"time": 0.0, "lat": 0.0, "lon": 0.0, "alt": 10**400}]))
-    with pytest.raises(FileError, match=r"t\.json: `alt` must hold numbers"):
+    with pytest.raises(FileError, match=r"t\.json .* a number has at most 60 digits"):
         read_track(path)
-    monkeypatch.setattr("spoofgym.data.tracks.LARGEST_SIZE", 100)
+    monkeypatch.setattr("spoofgym.core.reading.LARGEST_SIZE", 100)
     for pack in (bytes, gzip.compress):
         path.write_bytes(pack(bytes(100)))
         assert read_file(path) == bytes(100)
@@ -158,8 +159,8 @@ def test_a_parquet_file_of_too_many_values_is_not_read(tmp_path):
     pyarrow = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")
     path = tmp_path / "t.parquet"
-    rows = LARGEST_SIZE // 8 + 1
+    rows = MOST_CELLS + 1
     parquet.write_table(pyarrow.table({"time": pyarrow.array(np.zeros(rows))}), path)
-    assert path.stat().st_size < LARGEST_SIZE / 100
+    assert path.stat().st_size < 8 * MOST_CELLS / 100
     with pytest.raises(FileError, match=f"at most {rows - 1} values, got {rows}"):
         read_track(path)

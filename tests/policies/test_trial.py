@@ -10,7 +10,7 @@ import numpy as np
 import onnx
 import platformdirs
 import pytest
-from onnx import helper
+from onnx import helper, numpy_helper
 
 from spoofgym.policies import trial
 from spoofgym.spoofers import OnnxPolicy
@@ -44,11 +44,30 @@ def trials(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     return started
 
 
-SIDE = 160_000
-LARGE = behind(
-    helper.make_node("ConstantOfShape", ["shape"], ["r"]),
-    shape=np.array([SIDE, SIDE], np.int64),  # 102 GB
+WIDE = behind(  # a product of 128 KiB a row, 2 GiB in the largest batch
+    helper.make_node("MatMul", ["observation", "wide"], ["q"]),
+    helper.make_node("ReduceMean", ["q", "axis"], ["r"], keepdims=1),
+    wide=np.zeros((6, 1 << 15), np.float32),
+    axis=np.array([1]),
 )
+
+
+def otherwise_above(rows: int) -> Any:
+    """Actions that are zero where a batch has more rows than so many."""
+
+    def edit(model: onnx.ModelProto) -> None:
+        for name, value in (("rows", np.array([rows])), ("zero", np.float32([0.0]))):
+            model.graph.initializer.append(numpy_helper.from_array(value, name))
+        del model.graph.node[-1]
+        model.graph.node.extend(
+            (
+                helper.make_node("Shape", ["observation"], ["batch"], start=0, end=1),
+                helper.make_node("Greater", ["batch", "rows"], ["many"]),
+                helper.make_node("Where", ["many", "zero", "z2"], ["action"]),
+            )
+        )
+
+    return edit
 
 
 def endless(model: onnx.ModelProto) -> None:
@@ -64,7 +83,9 @@ def endless(model: onnx.ModelProto) -> None:
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (LARGE, r"tiny\.onnx needs more than 4 GiB of memory"),
+        (WIDE, r"tiny\.onnx needs more than 1 GiB of memory"),
+        (otherwise_above(128), r"tiny\.onnx answers the same observation otherwise in another"),
+        (otherwise_above(5000), r"tiny\.onnx answers the same observation otherwise in another"),
         pytest.param(
             endless,
             rf"tiny\.onnx needs more than {trial.TIME_S} s for 16 observations",

@@ -38,7 +38,7 @@ def last(model, kind, *inputs, tensors, **attributes):
         model.graph.initializer.append(numpy_helper.from_array(value, name))
 
 
-def external_and_sparse(model):
+def sparse_tensor(model):
     sparse = model.graph.sparse_initializer.add(dims=[2])
     sparse.values.name = "few"
     sparse.values.external_data.add(key="location", value="weights.bin")
@@ -79,7 +79,7 @@ def doubles(model):
 
 REFUSED = {
     "external": (external, r"keeps its tensor 'w0' in external data"),
-    "external and sparse": (external_and_sparse, r"keeps its tensor 'few' in external data"),
+    "sparse": (sparse_tensor, r"has a sparse tensor"),
     "external in an attribute": (external_in_attribute, r"tensor 'inside' in external data"),
     "custom": (replaced("Spy", domain="evil"), r"has the operator evil::Spy, which a policy may"),
     "custom function": (custom_function, r"defines the function Copy; inline it"),

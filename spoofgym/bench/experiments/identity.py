@@ -14,6 +14,7 @@ from pathlib import Path
 from ... import __version__
 from ...core.compile import cache_parent
 from ...core.files import write_file
+from ...core.reading import read_json
 from ...core.settings import compute_digest, digest_of_code
 
 PACKAGES = ("numpy", "scipy", "numba", "onnxruntime")
@@ -62,10 +63,9 @@ def digest_of_sources(*folders: Path) -> str:
 def _load_digests() -> dict[str, str]:
     """Digests that were computed before; parsing all of the library takes seconds."""
     try:
-        found = json.loads((cache_parent() / KNOWN).read_bytes())
+        return dict(read_json(cache_parent() / KNOWN))
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
 
 
 def _digest_of_module(path: Path, known: dict[str, str]) -> str:

@@ -22,6 +22,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from ...core.files import remove_stale_parts, write_file
+from ...core.reading import Archive, FileError, parse_array, parse_json, read_json
 from ...core.settings import compute_digest, diff_settings
 from .identity import code_identity
 
@@ -127,10 +128,11 @@ class Store:
         """Configuration in the folder, of this format; raises where it is of another experiment."""
         path = self.path / CONFIG
         try:
-            found = json.loads(path.read_bytes())
-        except ValueError as error:
+            found = read_json(path, object)
+        except FileError as error:
             raise ValueError(f"{path} is damaged ({error}); choose another folder") from error
-        if not isinstance(found, dict) or not {"experiment", "format", "config"} <= {*found}:
+        keys = {"experiment", "format", "config"}
+        if not isinstance(found, dict) or not keys <= {*found} or type(found["config"]) is not dict:
             raise ValueError(
                 f"{path} is of an older format, or of another program; choose another folder"
             )
@@ -190,8 +192,8 @@ class Store:
         """Finished cells, whatever names them."""
         for path in sorted((self.path / CELLS).glob("*.npz")):
             try:
-                with zipfile.ZipFile(path) as file:
-                    head = json.loads(file.read(HEAD))
+                with Archive(path) as file:
+                    head = parse_json(file.read(HEAD), HEAD)
                 cell = Cell(head["key"], head["identity"])
             except DAMAGED as error:
                 raise ValueError(f"{path} is damaged ({error}); delete it and run again") from error
@@ -202,8 +204,8 @@ class Store:
     def _read(self, cell: Cell, *, whole: bool) -> Result | None:
         path = self.build_path(cell.key)
         try:
-            with zipfile.ZipFile(path) as file:
-                head = json.loads(file.read(HEAD))
+            with Archive(path) as file:
+                head = parse_json(file.read(HEAD), HEAD)
                 members = head.pop("members")
                 unlisted = sorted({*file.namelist()} ^ {HEAD, *members})
                 content = {name: file.read(name) for name in members if whole and not unlisted}
@@ -341,9 +343,8 @@ def _unpack_result(parts: Mapping[str, bytes]) -> Result:
         if name.startswith(FILES):
             files[name.removeprefix(FILES)] = data
         elif name != RECORD:
-            stream = io.BytesIO(data)
-            arrays[name.removesuffix(ARRAY)] = npy.read_array(stream, allow_pickle=False)
-    return Result(arrays, json.loads(parts.get(RECORD, b"null")), files)
+            arrays[name.removesuffix(ARRAY)] = parse_array(data)
+    return Result(arrays, parse_json(parts.get(RECORD, b"null"), RECORD, object), files)
 
 
 def _json(value: Any, name: str, indent: int | None = None) -> bytes:

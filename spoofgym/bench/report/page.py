@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.reading import read_json
 from ...simulation.simulator import SkyData
 from ..experiments.store import REPLAY, REPORT, SUMMARY, Store
 from ..runs.episode import ATTACKED, TWIN, Episode
@@ -117,7 +118,7 @@ def load_replay(store: Store) -> dict[str, Any] | None:
 def load_output(store: Store, name: str = SUMMARY) -> dict[str, Any] | None:
     """What is written beside the cells, by default the scores; None where it is not there."""
     path = store.path / name
-    return json.loads(path.read_bytes()) if path.is_file() else None
+    return read_json(path) if path.is_file() else None
 
 
 def store_replay(store: Store, replay: Mapping[str, Any]) -> None:

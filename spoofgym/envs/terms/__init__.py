@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
+from ...core.reading import name_file, read_file, read_json
 from ...core.registry import build, check_choice
 from ...core.settings import describe
 from .action import ACTION_TERMS, ActionTerm
@@ -35,6 +35,7 @@ ActionSpec = _Name | PurePath | ActionTerm | Sequence[_Name | ActionTerm]
 RewardSpec = _Name | PurePath | RewardTerm | Sequence[_Name | RewardTerm]
 EndSpec = _Name | PurePath | EndTerm | Sequence[_Name | EndTerm]
 SUFFIXES = (".json", ".toml")
+LARGEST_TOML = 2**18  # [bytes]
 
 
 class _Nothing:
@@ -68,11 +69,12 @@ def make_terms(kind: str, spec: Any) -> tuple[Any, ...]:
     (AtAlarm(), AtDisplacement(limit_m=50.0))
     """
     check_choice("kind of terms", kind, TERMS)
+    file = None
     if isinstance(spec, PurePath) or (isinstance(spec, str) and spec.endswith(SUFFIXES)):
-        spec = _read_terms(kind, Path(spec))
-    if isinstance(spec, list | tuple):
-        return tuple(_make(kind, each) for each in spec)
-    return (_make(kind, spec),)
+        file, spec = spec, _read_terms(kind, Path(spec))
+    with name_file(file):
+        several = spec if isinstance(spec, list | tuple) else (spec,)
+        return tuple(_make(kind, each) for each in several)
 
 
 def _make(kind: str, spec: Any) -> Any:
@@ -97,13 +99,15 @@ def _make(kind: str, spec: Any) -> Any:
 
 def _read_terms(kind: str, path: Path) -> Any:
     try:
-        text = path.read_text(encoding="utf-8")
-        content = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        if path.suffix == ".json":
+            content = read_json(path, object)
+        else:
+            content = tomllib.loads(read_file(path, LARGEST_TOML).decode())
     except OSError as error:
         if not isinstance(error, FileNotFoundError):
             raise ValueError(f"{str(path)!r} can't be read: {error}") from error
         raise ValueError(f"there is no file {str(path)!r} with {kind} terms") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{str(path)!r} can't be read: {error}") from error
     if not isinstance(content, Mapping):
         raise ValueError(f"{str(path)!r} must hold lists by kind; valid: {', '.join(TERMS)}")

@@ -5,11 +5,11 @@ For each there is a card, NAME.json; a learned one also has its network, NAME.on
 
 from __future__ import annotations
 
-import json
 from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar, overload
 
+from ...core.reading import read_json
 from ...core.registry import check_choice
 from ..card import SIDES, Card
 
@@ -76,6 +76,6 @@ def _sides(folder: Path, changed: int) -> dict[str, str]:
     """Sides by name, sorted; `changed`: when a file of the folder came or went."""
     found = {}
     for path in sorted(folder.glob("*.json")):
-        fields = json.loads(path.read_text("utf-8"))
+        fields = read_json(path)
         found[path.stem] = fields.get("side") or SIDES[fields["kind"]]
     return found

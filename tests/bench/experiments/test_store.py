@@ -117,6 +117,38 @@ def test_two_writers_at_once_leave_the_same_bytes(tmp_path, whole):
     assert content(tmp_path) == whole
 
 
+def test_of_two_different_experiments_at_once_one_is_refused_and_nothing_is_mixed(tmp_path):
+    def write(size):
+        store = Store(tmp_path)
+        try:
+            store.open("numbers", {"size": size})
+            for k in range(5):
+                store.put(Cell(f"c{k}", {"size": size}), Result(record=size))
+        except ValueError as error:
+            return str(error)
+
+    for _ in range(5):
+        with ThreadPoolExecutor(2) as pool:
+            first, second = pool.map(write, (3, 4))
+        assert (first is None) != (second is None)
+        assert f"{tmp_path} holds other results (config.size: " in (first or second)
+        left = Store(tmp_path)
+        size = left.reopen()["size"]
+        assert {found.record for _, found in left.read_all()} == {size}
+        assert size == (3 if first is None else 4)
+        left._remove(())
+
+
+def test_members_of_a_cell_never_leave_its_file(opened):
+    """No name in a cell or its head becomes a path."""
+    result = Result(files={"../../config.json": b"{}", "/tmp/x": b"{}"})
+    before = (opened.path / "config.json").read_bytes()
+    opened.put(CELL, result)
+    assert opened.get(CELL).files == result.files
+    assert (opened.path / "config.json").read_bytes() == before
+    assert opened.build_path("../../x").parent == opened.path / "cells"
+
+
 def test_what_is_put_comes_back_also_of_keys_that_no_file_can_have(opened):
     arrays = {
         "empty": np.zeros((0, 3), np.float32),
