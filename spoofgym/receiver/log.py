@@ -24,6 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.files import whole_file
+from ..core.reading import (
+    Archive,
+    check_table,
+    parse_array,
+    parse_json,
+    read_file,
+    read_lines,
+)
 from ..core.registry import check_choice, require
 from .epoch import FILTER, OPTIONAL, Epoch
 
@@ -38,7 +46,6 @@ PAIRS = (("pseudorange", "range_rate"), ("position", "velocity"))
 COLUMNS = ("time_s", "channel", "signal", "innovation", "variance")
 MATRICES = ("time", "innovation", "innovation_cov", "channels", "signals")
 """What a file of matrices must hold; `segment`, `about` and `FILTER` may be there, too."""
-LARGEST_BYTES = 2 * 2**30  # of a file, unpacked
 MOST_CHANNELS = 128
 
 
@@ -388,43 +395,50 @@ def _read_table(path: Path) -> pandas.DataFrame:
 
     if find_spec("pandas") is None:
         raise ImportError("reading a table needs pandas and pyarrow: pip install spoofgym[flights]")
+    from io import BytesIO
+
     import pandas
 
-    if path.stat().st_size > LARGEST_BYTES:
-        raise ValueError(f"it must have at most {LARGEST_BYTES // 2**20} MiB")
     if path.suffix.lower() == ".csv":
-        return pandas.read_csv(path, encoding="utf-8-sig")
-    return pandas.read_parquet(path)
+        content = read_lines(path)
+        check_table(content.count(b"\n") + 1, content.split(b"\n", 1)[0].count(b",") + 1)
+        return pandas.read_csv(BytesIO(content), encoding="utf-8-sig")
+    from pyarrow.parquet import ParquetFile
+
+    file = ParquetFile(BytesIO(read_file(path)))
+    columns = [name for name in (*COLUMNS, "segment") if name in file.schema.names]
+    check_table(file.metadata.num_rows, len(columns))
+    return file.read(columns=columns).to_pandas()
 
 
 def _read_matrices(path: Path) -> InnovationLog:
-    with zipfile.ZipFile(path) as archive:
-        size = sum(each.file_size for each in archive.infolist())
-    require(size <= LARGEST_BYTES, f"it must unpack to {LARGEST_BYTES // 2**20} MiB at most")
-    with np.load(path, allow_pickle=False) as found:
-        missing = [name for name in MATRICES if name not in found]
-        require(not missing, f"missing arrays: {', '.join(missing)}; needed: {', '.join(MATRICES)}")
-        channels = tuple(map(str, np.atleast_1d(found["channels"])))
-        signals = tuple(map(str, np.atleast_1d(found["signals"])))
-        require(len(channels) <= MOST_CHANNELS, f"at most {MOST_CHANNELS} channels are valid")
-        _check_pair(signals)
-        numbers = {
-            name: np.ascontiguousarray(found[name], dtype=np.float64)
-            for name in (*MATRICES[:3], *FILTER)
-            if name in found
-        }
-        time = numbers.pop("time")
-        segment = found["segment"] if "segment" in found else np.zeros(time.shape)
-        return InnovationLog(
-            time=time,
-            innovation=numbers.pop("innovation"),
-            innovation_cov=numbers.pop("innovation_cov"),
-            channels=channels,
-            signals=signals,  # type: ignore[arg-type]
-            segment=segment.astype(np.int64),
-            more=numbers,
-            about=json.loads(str(found["about"])) if "about" in found else {},
-        )
+    with Archive(path) as archive:
+        members = {name.removesuffix(".npy"): name for name in archive.namelist()}
+        wanted = (*MATRICES, *FILTER, "segment", "about")
+        found = {x: parse_array(archive.read(members[x])) for x in wanted if x in members}
+    missing = [name for name in MATRICES if name not in found]
+    require(not missing, f"missing arrays: {', '.join(missing)}; needed: {', '.join(MATRICES)}")
+    channels = tuple(map(str, np.atleast_1d(found["channels"])))
+    signals = tuple(map(str, np.atleast_1d(found["signals"])))
+    require(len(channels) <= MOST_CHANNELS, f"at most {MOST_CHANNELS} channels are valid")
+    _check_pair(signals)
+    numbers = {
+        name: np.ascontiguousarray(found[name], dtype=np.float64)
+        for name in (*MATRICES[:3], *FILTER)
+        if name in found
+    }
+    time = numbers.pop("time")
+    segment = found["segment"] if "segment" in found else np.zeros(time.shape)
+    return InnovationLog(
+        time=time,
+        innovation=numbers.pop("innovation"),
+        innovation_cov=numbers.pop("innovation_cov"),
+        channels=channels,
+        signals=signals,  # type: ignore[arg-type]
+        segment=segment.astype(np.int64),
+        more=numbers,
+        about=parse_json(str(found["about"]), "`about`") if "about" in found else {},
+    )
 
 
 def missing_fields(log: InnovationLog, needs: frozenset[str]) -> list[str]:
