@@ -13,7 +13,6 @@ kill the same command goes on from there.
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 import shutil
@@ -39,7 +38,7 @@ from spoofgym.bench.search.amplitude import TuningResult, search_work
 from spoofgym.bench.search.backends import get_rate_limits
 from spoofgym.bench.search.open_loop import SPLIT, OpenLoopSearch
 from spoofgym.cli import clear_errors
-from spoofgym.cli.app import progress
+from spoofgym.cli.app import print_json, progress
 from spoofgym.cli.options import list_passed_options
 from spoofgym.core.registry import parse_spec, refuse_overrides
 from spoofgym.core.settings import describe
@@ -159,7 +158,7 @@ def main(
     card.save(out)
     shutil.rmtree(folder)
     if as_json:
-        typer.echo(json.dumps(card.model_dump(), indent=1, allow_nan=False))
+        print_json(card.model_dump())
         return
     title = (
         f"{select_runs} training runs against {judge.detector.label}; of those that are silent "

@@ -221,6 +221,7 @@ def test_an_interrupt_while_packages_are_imported_is_one_line(start, tmp_path):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # as from a terminal
     )
     assert process.stdout.readline() == "importing\n"
     process.send_signal(signal.SIGINT)

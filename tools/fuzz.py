@@ -328,9 +328,15 @@ def try_case(reader: Reader, corpus: list[bytes], name: str, number: int, folder
     return outcome[:300]
 
 
+def limit_growth() -> None:
+    """Let this process, which may be a fork of a large one, grow by so much and no more."""
+    now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (now + MEMORY, now + MEMORY))
+
+
 def _run_child(name: str, numbers: range, write: int) -> None:
     """Try cases in this process, which was forked for it; a line for each outcome."""
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    limit_growth()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     warnings.simplefilter("ignore")
     reader = READERS[name]

@@ -6,7 +6,6 @@ goes on where it was interrupted.  A value that is not met is a finding, not an 
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +13,7 @@ from typing import Annotated
 import typer
 
 from spoofgym.cli import clear_errors
+from spoofgym.cli.app import print_json
 from spoofgym.core.progress import show_progress
 
 from .frame import Settings
@@ -63,7 +63,7 @@ def main(
     found = [run.play(most, show_progress, overwrite=overwrite) for run in runs]
     records = [run.record(data) for run, data in zip(runs, found, strict=True)]
     if as_json:
-        typer.echo(json.dumps(records if key == ALL else records[0], indent=1, allow_nan=False))
+        print_json(records if key == ALL else records[0])
     else:
         for run, record in zip(runs, records, strict=True):
             print_tables(load_paper(run.key).TITLE, record)

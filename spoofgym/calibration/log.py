@@ -27,6 +27,8 @@ from ..detectors.calibration_file import (
 )
 from ..receiver.log import InnovationLog, missing_fields
 
+__all__ = ["LogJudgement", "judge_log"]
+
 FloatArray = NDArray[np.float64]
 WINDOW_S = 160.0
 """Length of a window, an attack of 150 s and the time to alert."""

@@ -33,8 +33,9 @@ from spoofgym.detectors.build import make_detector
 from spoofgym.policies.card import LARGEST_CARD, Card
 from spoofgym.simulation.engine import processors
 from spoofgym.truth.scenario import make_scenario
+from tools.fuzz import limit_growth
 
-MEMORY, GROWTH, TIME_S = 3 << 30, 500 << 10, 5.0  # bytes; kilobytes; of the processor
+GROWTH, TIME_S = 500 << 10, 5.0  # kilobytes; of the processor
 
 
 def read_in_child(read, path: Path) -> str:
@@ -43,7 +44,7 @@ def read_in_child(read, path: Path) -> str:
     child = os.fork()
     if child == 0:
         try:
-            resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+            limit_growth()
             usage = resource.getrusage(resource.RUSAGE_SELF)
             start, before = time.process_time(), usage.ru_maxrss
             try:

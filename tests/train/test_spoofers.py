@@ -34,7 +34,7 @@ def test_all_cells_are_a_hundred_and_eighty_trainings_and_settings_are_checked(t
     assert len(names) == len(settings.cells())
     for given, message in (
         ({"further": "{"}, "`further` is not JSON"),
-        ({"further": "[1]"}, "`further` must be a JSON object"),
+        ({"further": "[1]"}, "`further` must be an object of JSON"),
         ({"further": '{"stepz": 3}'}, "unknown further setting 'stepz'"),
         ({"only": ("T9",)}, "unknown world, detector or knowledge 'T9'"),
     ):
