@@ -51,6 +51,7 @@ docs/calibration
 docs/audit
 docs/isolation
 docs/promises
+docs/reliability
 docs/scores
 docs/limits
 docs/checks
