@@ -47,6 +47,7 @@ COLUMNS = ("time_s", "channel", "signal", "innovation", "variance")
 MATRICES = ("time", "innovation", "innovation_cov", "channels", "signals")
 """What a file of matrices must hold; `segment`, `about` and `FILTER` may be there, too."""
 MOST_CHANNELS = 128
+MOST_ELEMENTS = 2**27  # of all covariances, 1 GiB
 
 
 class SignalCheck(NamedTuple):
@@ -247,33 +248,37 @@ class InnovationLog:
             )
         segment = table["segment"] if "segment" in table else np.zeros(len(table), dtype=np.int64)
         keys = np.stack([np.asarray(segment, float), np.asarray(table["time_s"], float)], axis=1)
-        _, first, epoch = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-        epoch = np.argsort(np.argsort(first))[epoch.ravel()]  # in the order of the file
-        order = np.sort(first)
+        epochs, epoch = np.unique(keys, axis=0, return_inverse=True)
+        epoch = epoch.ravel()
         channels = tuple(sorted({str(name) for name in table["channel"]}))
         n = len(channels)
         require(n <= MOST_CHANNELS, f"a log has at most {MOST_CHANNELS} channels, got {n}")
         place = {name: k for k, name in enumerate(channels)}
         row = np.array([place[str(name)] for name in table["channel"]])
         row += n * (table["signal"].to_numpy() == pair[1])
-        innovation = np.full((len(order), 2 * n), np.nan)
-        variance = np.ones((len(order), 2 * n))
+        shape = len(epochs), 2 * n
+        require(
+            math.prod(shape) * 2 * n <= MOST_ELEMENTS,
+            f"covariances have at most {MOST_ELEMENTS:,} elements, got {shape[0]} epochs of "
+            f"{n} channels: cut it into parts",
+        )
+        innovation, variance = np.full(shape, np.nan), np.ones(shape)
         taken = np.bincount(epoch * 2 * n + row, minlength=innovation.size)
         if taken.max() > 1:
             k, twice = divmod(int(taken.argmax()), 2 * n)
             raise ValueError(
-                f"{pair[twice // n]} of {channels[twice % n]} is there twice at "
-                f"{keys[order[k], 1]:g} s"
+                f"{pair[twice // n]} of {channels[twice % n]} is there twice at {epochs[k, 1]:g} s"
             )
+        _check_order(keys, row, channels)
         innovation[epoch, row] = table["innovation"]
         variance[epoch, row] = table["variance"]
         return cls(
-            time=keys[order, 1],
+            time=epochs[:, 1],
             innovation=innovation,
             innovation_cov=variance[:, :, None] * np.eye(2 * n),
             channels=channels,
             signals=pair,
-            segment=keys[order, 0].astype(np.int64),
+            segment=epochs[:, 0].astype(np.int64),
             about=about or {},
         )
 
@@ -380,6 +385,20 @@ def _remark_on(signal: SignalCheck) -> list[str]:
             "a bias_window_s, or thresholds of this log"
         )
     return lines
+
+
+def _check_order(keys: FloatArray, row: NDArray[np.int64], channels: tuple[str, ...]) -> None:
+    """Raise where time runs backwards in the rows of a channel; `keys` (r, 2): segment and time."""
+    by_row = np.argsort(row, kind="stable")
+    same = np.diff(row[by_row]) == 0
+    segment, time = np.diff(keys[by_row], axis=0).T
+    if (back := same & (segment == 0.0) & (time <= 0.0)).any():
+        k = by_row[int(back.argmax()) + 1]
+        raise ValueError(
+            f"`time` must rise within a segment, got {keys[k, 1]:g} s after a later time in row "
+            f"{k + 1}, of {channels[row[k] % len(channels)]}; begin a new segment where a filter "
+            "was reset or its time jumped"
+        )
 
 
 def _check_pair(signals: tuple[str, ...]) -> None:

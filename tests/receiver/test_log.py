@@ -123,6 +123,22 @@ def test_segments_begin_anew_and_time_that_runs_back_is_refused():
     assert (cut_windows(log, 60.0).max() + 1, (cut_windows(log, 60.0) < 0).sum()) == (6, 40)
 
 
+def test_rows_may_come_channel_by_channel_and_epochs_be_absent_in_some():
+    table = write_filter(50)
+    part = table[~((table.channel == "down") & (table.time_s == 7.0))]
+    ordered, grouped = (
+        InnovationLog.from_table(t) for t in (part, part.sort_values("channel", kind="stable"))
+    )
+    np.testing.assert_array_equal(grouped.innovation, ordered.innovation)
+    assert (~grouped.visible).sum() == 1
+
+
+def test_a_log_that_would_take_the_memory_is_refused(monkeypatch):
+    monkeypatch.setattr("spoofgym.receiver.log.MOST_ELEMENTS", 1000)
+    with pytest.raises(ValueError, match="got 50 epochs of 3 channels: cut it into parts"):
+        InnovationLog.from_table(write_filter(50))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
