@@ -37,10 +37,20 @@ WINDOW_S = 160.0
 class LogJudgement(NamedTuple):
     """What a detector makes of a log.
 
-    - `detector`: its label; `ratio` (K,) largest statistic over threshold at every epoch, as the
-      detector has it; `factor` on the thresholds that its alarms have, 1 where they are nominal;
-    - `windows` (W,) largest ratio of every window; `window_s` their length;
-    - `false_alarms_per_hour` that the factor is for, None where thresholds are nominal.
+    Attributes
+    ----------
+    detector : str
+        Its name.
+    ratio : ndarray
+        (K,) largest statistic over threshold at every epoch, by the detector's own thresholds.
+    factor : float
+        On these thresholds, by which it alarms; 1 where they are its own.
+    windows : ndarray
+        (W,) largest ratio of every window.
+    window_s : float
+        Their length [s].
+    false_alarms_per_hour : float or None
+        Rate that the factor is for; None of a detector's own thresholds.
     """
 
     detector: str
@@ -51,6 +61,7 @@ class LogJudgement(NamedTuple):
     false_alarms_per_hour: float | None
 
     def as_json(self) -> dict[str, Any]:
+        """Counts of alarms and largest ratios, by the factor."""
         over = self.ratio / self.factor
         return {
             "detector": self.detector,
