@@ -204,9 +204,7 @@ def judge_log(
     found = []
     for spec, detector in zip(detectors, bound, strict=True):
         label, ratio = label_spec(spec), _play(detector, log, segments)
-        apart = ratio
-        if count:
-            apart = _play(bind_to_log(spec, log), log, starts)
+        apart = _play(detector, log, starts) if count else ratio
         windows = np.array([apart[number == k].max() for k in range(count)])
         factor = 1.0
         if rank:

@@ -14,9 +14,8 @@ PROGRAM = "spoofgym"
 
 def is_program() -> bool:
     """Whether this process is the command line, as a script or by ``python -m``."""
-    words = sys.orig_argv
-    by_module = ("-m", PROGRAM) in pairwise(words)
-    return by_module or Path(sys.argv[0]).stem == PROGRAM if sys.argv else by_module
+    by_module = ("-m", PROGRAM) in pairwise(sys.orig_argv)
+    return by_module or Path("".join(sys.argv[:1])).stem == PROGRAM
 
 
 def end_by_interrupts() -> None:

@@ -112,7 +112,8 @@ def real_scenario(
 def ephemeris_day(ephemerides: Ephemerides, own: datetime) -> date:
     """The day of a flight itself where there are records of its first time, else the day of most
     records. `own`: time of its first fix, UTC."""
-    if np.abs(ephemerides.time_of_ephemeris - gps_seconds(own)).min() <= VALIDITY:
+    dated = own.replace(tzinfo=None) >= GPS_EPOCH  # else the times are those of a day alone
+    if dated and np.abs(ephemerides.time_of_ephemeris - gps_seconds(own)).min() <= VALIDITY:
         return own.date()
     days = np.floor(ephemerides.time_of_ephemeris / 86_400.0).astype(np.int64)
     found, counts = np.unique(days, return_counts=True)

@@ -105,7 +105,7 @@ class InnovationLog:
     innovation: FloatArray
     innovation_cov: FloatArray
     channels: tuple[str, ...]
-    signals: tuple[str, str] = PAIRS[0]
+    signals: tuple[str, ...] = PAIRS[0]
     segment: NDArray[np.int64]
     more: Mapping[str, FloatArray] = field(default_factory=dict)
     about: Mapping[str, Any] = field(default_factory=dict)
@@ -453,7 +453,7 @@ def _read_matrices(path: Path) -> InnovationLog:
         innovation=numbers.pop("innovation"),
         innovation_cov=numbers.pop("innovation_cov"),
         channels=channels,
-        signals=signals,  # type: ignore[arg-type]
+        signals=signals,
         segment=segment.astype(np.int64),
         more=numbers,
         about=parse_json(str(found["about"]), "`about`") if "about" in found else {},

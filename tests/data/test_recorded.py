@@ -1,13 +1,14 @@
 """Worlds from recorded files: satellites that run out, several files, and what is said."""
 
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
 import pytest
 
-from spoofgym.data.recorded import ONLY_TRAJECTORY, real_scenario
+from spoofgym.data.recorded import ONLY_TRAJECTORY, ephemeris_day, real_scenario
 from spoofgym.truth.manoeuvres import Straight, Turn, fly
 
+from ..truth.records import SATURDAY_22, one_record
 from .files import make_orbits, make_table, write_orbits
 
 pytest.importorskip("pandas")
@@ -78,3 +79,9 @@ def test_a_flight_of_the_day_is_simulated_on_it_and_its_outputs_say_what_is_real
     assert not real.reports["time"]["mapped"]
     assert real.lines[0] == real.reports["note"] == ONLY_TRAJECTORY
     assert ONLY_TRAJECTORY.startswith("Only the trajectory is real")
+
+
+def test_a_track_without_a_date_flies_on_the_day_of_the_records():
+    records = one_record("G05", SATURDAY_22)
+    for own in (datetime(1970, 1, 1, 8, tzinfo=UTC), datetime(2018, 1, 12, 12, tzinfo=UTC)):
+        assert ephemeris_day(records, own) == date(2024, 9, 14)
