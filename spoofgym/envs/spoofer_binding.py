@@ -208,11 +208,6 @@ def find_card_settings(card: SpooferCard) -> tuple[type[Setup], dict[str, Any]]:
         kind, settings = find_environment(card.env_id)
     except ValueError as error:
         raise ValueError(f"card of {card.name!r}: `env_id`: {error}") from error
-    return kind, {**settings, **card.env_kwargs}
-
-
-def setup_of_card(card: SpooferCard) -> Setup:
-    kind, settings = find_card_settings(card)
     valid = list_parameters(kind)
     unknown = [name for name in card.env_kwargs if name not in valid]
     if unknown:
@@ -220,6 +215,11 @@ def setup_of_card(card: SpooferCard) -> Setup:
             f"card of {card.name!r}: `env_kwargs` has {', '.join(map(repr, unknown))}; valid: "
             f"{', '.join(valid)}"
         )
+    return kind, {**settings, **card.env_kwargs}
+
+
+def setup_of_card(card: SpooferCard) -> Setup:
+    kind, settings = find_card_settings(card)
     try:
         return make_setup(kind, settings)
     except (TypeError, ValueError) as error:

@@ -34,6 +34,8 @@ SPOOFER, DETECTOR = "spoofer", "detector"
 """Sides of a card."""
 NAME = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # what a spoofer with a card may be called
 FORMAT = 2
+BETWEEN = ("hold", "linear")
+"""What is commanded between two decisions."""
 LARGEST_CARD = 2**22  # [bytes]
 SIDES = {"onnx-policy": SPOOFER, "profile": SPOOFER, "detector-policy": DETECTOR}
 """Of the kinds of cards, which is all that format 1 has of a side."""
@@ -263,6 +265,22 @@ class SpooferCard(Card):
     rivals: tuple[dict[str, Any], ...] = ()
     settings: dict[str, Any] = Field(default_factory=dict)
     file: PolicyFile | None
+
+    @field_validator("env_kwargs")
+    @classmethod
+    def _check_env_kwargs(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """What a policy reads without its environment, which checks the rest."""
+        for name in given:
+            if not name.isidentifier():
+                raise ValueError(f"must be settings of an environment, got {name!r}")
+        interval = given.get("decision_interval_s")
+        number = isinstance(interval, int | float) and not isinstance(interval, bool)
+        if interval is not None and not (number and 0.0 < interval < math.inf):
+            raise ValueError(f"`decision_interval_s` must be above 0 and finite, got {interval!r}")
+        if given.get("between", "hold") not in BETWEEN:
+            valid = " or ".join(map(repr, BETWEEN))
+            raise ValueError(f"`between` must be {valid}, got {given['between']!r}")
+        return given
 
     @field_validator("action")
     @classmethod

@@ -20,6 +20,7 @@ from ..core.declared import Setting, check_number, check_word, setting, settings
 from ..core.registry import build_record, require
 from ..detectors import Detector, detector_in_world
 from ..detectors.calibration_file import Conditions, describe_as_json
+from ..policies.card import BETWEEN
 from ..receiver.epoch import OPTIONAL
 from ._kernels import local_motion
 from .domain import Choice, Domain, DomainBounds, FloatArray
@@ -84,7 +85,6 @@ class Timeline:
 
 
 TARGETS = ("random", "worst")  # target directions that are no number
-BETWEEN = ("hold", "linear")  # what is commanded between two decisions
 Run = Callable[[Callable[[int, int], None], int], None]  # calls ``f(lo, hi)`` over slices of B
 
 

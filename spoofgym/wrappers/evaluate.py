@@ -82,6 +82,8 @@ class WrappedScore(NamedTuple):
         uncalibrated.
     false_alarms_per_hour : Estimate
         On clean runs that decide nothing.
+    requested_per_hour : float or None
+        Rate that it is calibrated to; None where it plays uncalibrated.
     attacks : tuple of AttackOutcome
         One each.
     """
@@ -89,6 +91,7 @@ class WrappedScore(NamedTuple):
     runs: int
     scale: float | None
     false_alarms_per_hour: Estimate
+    requested_per_hour: float | None
     attacks: tuple[AttackOutcome, ...]
 
     @property
@@ -100,6 +103,8 @@ class WrappedScore(NamedTuple):
         mark = "uncalibrated" if self.scale is None else f"threshold x {self.scale:.4g}"
         rate = interval(self.false_alarms_per_hour.as_json())
         lines = [f"{mark}: {rate} false alarms an hour, {self.runs} runs"]
+        if self.requested_per_hour and self.false_alarms_per_hour.low > self.requested_per_hour:
+            lines.append(f"false alarms above the requested {self.requested_per_hour:g} an hour")
         for each in self.attacks:
             moved, found, delay = (
                 interval(part.as_json())
@@ -192,7 +197,8 @@ def evaluate_wrapped(
         since, moved = np.concatenate([p for p, _ in parts]), np.hstack([m for _, m in parts])
         counted = np.where((since > 0) & (alarms == 0), since, 0)
         outcomes.append(_score_attack(label_opponent(spoofer), counted, moved, recorder))
-    return WrappedScore(runs, scale, hourly, tuple(outcomes))
+    requested = None if scale is None else rate
+    return WrappedScore(runs, scale, hourly, requested, tuple(outcomes))
 
 
 def _as_spoofer(given: Any) -> SpooferSpec:

@@ -144,7 +144,7 @@ FLOOR = {"half": {"value": 20.0}, "few": {"value": 30.0}}
         (audit_of(alike=False), "two calls on the same epochs differ"),
         (audit_of(alarms=1.0), "alarms in every run, with an attack and without one"),
         (audit_of(found=0.0), "never alarms, with an attack or without one"),
-        (audit_of(alarms=0.1), "false alarms 2.4 (1.1 to 4.4) an hour, more than 2 times the 0.2"),
+        (audit_of(alarms=0.1), "false alarms 2.4 (1.1 to 4.4) an hour, above the 0.2"),
         (
             audit_of(events={"front": np.arange(RUNS) < 50}),
             "takes benign events for attacks: alarms in front 50 % of runs with one, 0 % without",

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from spoofgym.bench.runs.record import RunRecord
 from spoofgym.bench.scores.matrix_game import PayoffMatrix, RunPayoff, checked_payoff
 from spoofgym.bench.scores.statistics import (
     bootstrap_mean,
@@ -119,3 +120,11 @@ def test_exceedance_counts_what_lies_above():
     found = exceedance([0.0, 10.0, 20.0, 30.0], [10.0, 40.0])
     assert [estimate.value for estimate in found] == [0.5, 0.0]
     assert found[0] == wilson(2, 4)
+
+
+def test_no_record_of_runs_has_an_infinity():
+    head = {"spoofer": "ramp", "detector": "ewma"}
+    RunRecord(head, {"peak_ratio": np.array([1.0, np.nan])})
+    message = "ramp against ewma: undetected_displacement_m of run 1 is infinite"
+    with pytest.raises(ArithmeticError, match=message):
+        RunRecord(head, {"undetected_displacement_m": np.array([1.0, -np.inf])})

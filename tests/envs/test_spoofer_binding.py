@@ -1,12 +1,14 @@
 """A spoofer and an environment: what fits is bound, and what does not is told in full."""
 
 import json
+import os
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
+from spoofgym.bench.runs.world import read_training_world
 from spoofgym.detectors import Ewma
 from spoofgym.envs.spoofer_binding import attach, setup_of_card
 from spoofgym.policies import SpooferCard, list_shipped, load_card
@@ -149,6 +151,30 @@ def test_other_scales_and_what_is_no_environment_of_ours_are_refused(policy):
     ):
         with pytest.raises(ValueError, match=f"card of 'tiny': {message}"):
             setup_of_card(card.model_copy(update=changes))
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"": 1}, "must be settings of an environment, got ''"),
+        ({"decision_interval_s": 0.0}, "`decision_interval_s` must be above 0 and finite, got 0.0"),
+        ({"decision_interval_s": True}, "`decision_interval_s` must be above 0"),
+        ({"between": "leap"}, "`between` must be 'hold' or 'linear', got 'leap'"),
+    ],
+)
+def test_settings_on_a_card_are_checked_when_it_is_loaded(kwargs, message, tmp_path):
+    path = write_policy(tmp_path).with_suffix(".json")
+    path.write_text(json.dumps({**json.loads(path.read_text()), "env_kwargs": kwargs}))
+    with pytest.raises(ValueError, match=message):
+        SpooferCard.load(path)
+
+
+def test_a_world_is_not_read_from_a_card_with_unknown_settings(tmp_path):
+    path = write_policy(tmp_path).with_suffix(".json")
+    fields = json.loads(path.read_text())
+    path.write_text(json.dumps({**fields, "env_kwargs": {**fields["env_kwargs"], "scenery": "x"}}))
+    with pytest.raises(ValueError, match="`env_kwargs` has 'scenery'; valid:"):
+        read_training_world(os.fspath(path.with_suffix(".onnx")))
 
 
 def test_a_shipped_profile_is_compared_by_its_card(tmp_path, monkeypatch):

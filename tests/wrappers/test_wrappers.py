@@ -112,6 +112,10 @@ def test_a_statistic_is_calibrated_and_scored(score):
     assert found.never_m > 1.0
     assert str(score).startswith("threshold x ")
     assert "ramp, rate_mps=1.0: " in str(score)
+    assert score.requested_per_hour == 10.0
+    assert "above the requested" not in str(score)
+    hasty = score._replace(requested_per_hour=score.false_alarms_per_hour.low / 2.0)
+    assert "\nfalse alarms above the requested " in str(hasty)
     outside = PassiveDetector(bare(), {"name": "never"})
     with pytest.raises(ValueError, match="the statistic is 0 in nearly every clean run"):
         evaluate_wrapped(outside, 40, false_alarms_per_hour=10.0, spoofers=[FAST])

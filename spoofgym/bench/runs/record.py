@@ -42,6 +42,13 @@ class RunRecord:
     records: dict[str, NDArray[Any]]
     series: dict[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name, values in self.records.items():
+            if np.isinf(values).any():
+                run = int(np.argmax(np.isinf(values).reshape(len(values), -1).any(axis=1)))
+                who = " against ".join(str(self.head.get(x)) for x in ("spoofer", "detector"))
+                raise ArithmeticError(f"{who}: {name} of run {run} is infinite")
+
     @property
     def detector(self) -> str:
         return str(self.head["detector"])

@@ -19,11 +19,7 @@ from ...detectors.calibrated import calibrated_parts, resolve_thresholds
 from ...duel.learner import describe_environment
 from ...envs.context import spoofer_context, warn_of_headings
 from ...envs.factory import DEFAULT_ID, choose_env_id, find_environment, make_setup
-from ...envs.spoofer_binding import (
-    SETUPS,
-    get_tuning_range,
-    monitors_for,
-)
+from ...envs.spoofer_binding import SETUPS, find_card_settings, get_tuning_range, monitors_for
 from ...simulation import LooselyCoupledSetup, SnapshotSetup, TightlyCoupledSetup, WheeledRobotSetup
 from ...simulation import loose as loosely_coupled
 from ...simulation import robot as wheeled_robot
@@ -77,6 +73,7 @@ def read_training_world(policy: Any) -> dict[str, Any]:
     if isinstance(policy, str | os.PathLike | Mapping | Spoofer):
         card = card_behind(specify_policy(policy).build())
     if card is not None:
+        find_card_settings(card)  # or what is wrong with it
         env, settings = card.env_id, card.env_kwargs
     elif (inner := inner_env(policy.get_env() if hasattr(policy, "get_env") else None)) is None:
         return {}

@@ -30,7 +30,7 @@ SEARCHED, RIVALS = "open-loop", ("ramps", "profiles", "dashes")
 """Family that is searched for against a detector, and those that it must not be behind."""
 TRANSFER = "t"  # letter of attacks that were found against other detectors
 BEHIND = 0.02  # part of the displacement by which a search may be behind
-PROMISE = 2.0  # times the rate that was requested from which on false alarms are warned of
+BENIGN = 2.0  # times its usual rate from which on alarms at benign events are warned of
 FALL = 0.1
 """Part of the test ramps by which a detector finds less at a greater age before it is warned of."""
 BLIND = 0.2  # part of what it found before that a blind detector still finds
@@ -194,16 +194,16 @@ class Audit:
         if self.requested_per_hour is not None:
             measured = self.figures["false_alarms_per_hour"]
             promise = run_probability(self.requested_per_hour, score.window_s)
-            if score.false_alarm_rate().low > PROMISE * promise:
+            if score.false_alarm_rate().low > promise:
                 yield (
-                    f"false alarms {_format_rate(measured)} an hour, more than "
-                    f"{PROMISE:g} times the {self.requested_per_hour:g} that it is calibrated to"
+                    f"false alarms {_format_rate(measured)} an hour, above the "
+                    f"{self.requested_per_hour:g} that it is calibrated to"
                 )
         usual = score.false_alarm_rate(CLEAN)
         words = []
         for name in (each for each in alarms if each not in (WINDOW, CLEAN)):
             rate = score.false_alarm_rate(name)
-            if rate.low > PROMISE * max(usual.value, 1.0 / score.runs):
+            if rate.low > BENIGN * max(usual.value, 1.0 / score.runs):
                 words.append(f"{name.replace('_', ' ')} {100.0 * rate.value:.0f} %")
         if words:
             yield (

@@ -188,5 +188,7 @@ def sum_terms(
     reward = np.zeros(len(outcome.gain))
     for key, term in terms:
         part = info[key] = np.asarray(term(outcome), dtype=np.float64)
+        if not np.isfinite(part).all():
+            raise ValueError(f"info[{key!r}] must be finite, got {part}")
         reward += part
     return reward

@@ -189,3 +189,22 @@ def test_the_reward_is_exactly_the_sum_of_its_parts():
     undetected = info["undetected_displacement_m"]
     np.testing.assert_array_equal(info["reward_terminal_displacement"], undetected)
     assert len(used) == len(TERMS["reward"])
+
+
+@dataclass(frozen=True)
+class Boundless:
+    """A reward of a user, which divides by nothing."""
+
+    name: ClassVar[str] = "boundless"
+
+    def __call__(self, outcome):
+        return np.full(len(outcome.gain), np.inf)
+
+
+def test_a_reward_that_is_not_finite_is_refused():
+    envs = vector(2, reward=Boundless())
+    envs.reset(seed=1)
+    with pytest.raises(
+        ValueError, match=r"info\['reward_boundless'\] must be finite, got \[inf inf\]"
+    ):
+        envs.step(np.zeros((2, 2)))
