@@ -35,6 +35,8 @@ SPOOFERS: dict[str, type[Spoofer]] = {
 """Spoofers by name."""
 
 
+CARD = "card"
+"""In settings that a card was read for: its file."""
 SpooferSpec = str | Mapping[str, Any] | Spoofer
 """What `make_spoofer` takes."""
 
@@ -55,19 +57,27 @@ def resolve_spec(spec: Any) -> Any:
             f"the settings of the shipped spoofer {name!r} are fixed, got "
             f"{', '.join(map(repr, settings))}"
         )
-    card = load_card(name, SpooferCard)
+    return spec_of_card(load_card(name, SpooferCard), name)
+
+
+def spec_of_card(card: SpooferCard, file: str) -> Spec:
+    """Registered name and settings behind a card; `file` is the policy, where it has one."""
     if card.file is None:
-        return {"name": card.kind, **card.settings, "label": name}
-    return {"name": card.kind, "file": name, "sha256": card.file.sha256}
+        return {"name": card.kind, **card.settings, "label": card.name}
+    return {"name": card.kind, "file": file, "sha256": card.file.sha256}
 
 
 def read_settings(spec: Any) -> Any:
-    """Name and settings in a ``.json`` file, such as an audit writes; any other spec as it is."""
+    """Name and settings in a ``.json`` file, such as an audit writes, or behind the card that it
+    is; any other spec as it is."""
     given = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
     file = given.pop("name", None)
     if not isinstance(file, str) or not file.endswith(".json"):
         return spec
     found = read_json(file)
+    if "side" in found:
+        policy = f"{file.removesuffix('.json')}{SUFFIX}"
+        return {**spec_of_card(SpooferCard.load(file), policy), CARD: file, **given}
     if "name" not in found:
         raise ValueError(f"{file} has no name and settings of a spoofer")
     return {**found, **given}
@@ -80,8 +90,8 @@ def make_spoofer(spec: SpooferSpec) -> Spoofer:
     ----------
     spec : str, mapping or Spoofer
         A name in `SPOOFERS`, of a shipped spoofer, or the path of an ``.onnx`` file with its card
-        in the same folder, or of a ``.json`` file with a name and settings; ``{"name": ...,
-        "setting": value, ...}``; or a spoofer, which is copied.
+        in the same folder, or of a ``.json`` file, a card or a name and settings;
+        ``{"name": ..., "setting": value, ...}``; or a spoofer, which is copied.
         With a name, ``"amplitude"`` is a factor on all that it commands (`Scaled`).
 
     Returns
@@ -107,7 +117,10 @@ def make_spoofer(spec: SpooferSpec) -> Spoofer:
     with name_file(None if given is spec else str(file)):
         plain, amplitude = split_amplitude(given)
         plain = resolve_spec(plain)
+        card = plain.pop(CARD, None) if isinstance(plain, dict) else None
         made: Spoofer = make("spoofer", SPOOFERS, Spoofer, plain, list_shipped(SPOOFER))
+    if card is not None:
+        made.card = SpooferCard.load(card)
     return made if amplitude is None else Scaled(made, amplitude)
 
 

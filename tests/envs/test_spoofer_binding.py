@@ -185,8 +185,17 @@ def test_a_shipped_profile_is_compared_by_its_card(tmp_path, monkeypatch):
     (tmp_path / "slow.json").write_text(json.dumps({**card, "settings": settings}))
     env = single(knowledge="tracking")  # it looks at nothing
     assert attach("slow", env).act(env.reset(seed=0)[0][None]).shape == (1, 2)
-    with pytest.raises(ValueError, match=r"'slow' was made .*\n.*detector\.kind"):
-        attach({"name": "slow"}, single(detector="never"))
+    for named in ({"name": "slow"}, str(tmp_path / "slow.json")):
+        with pytest.raises(ValueError, match=r"'slow' was made .*\n.*detector\.kind"):
+            attach(named, single(detector="never"))
+
+
+def test_the_card_of_a_policy_stands_for_it(policy, tmp_path):
+    by_card = attach(str(Path(policy).with_suffix(".json")), single())
+    assert by_card == attach(policy, single())
+    (tmp_path / "alone.json").write_bytes(Path(policy).with_suffix(".json").read_bytes())
+    with pytest.raises(ValueError, match=r"alone\.onnx"):
+        attach(str(tmp_path / "alone.json"), single())
 
 
 @pytest.mark.usefixtures("default_rate")

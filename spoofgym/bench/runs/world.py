@@ -70,7 +70,9 @@ def read_training_world(policy: Any) -> dict[str, Any]:
     """Arguments of `World.of`, and the detector, of the environment that a policy was trained in;
     nothing where it has none."""
     card = None
-    if isinstance(policy, str | os.PathLike | Mapping | Spoofer):
+    if isinstance(policy, str | os.PathLike):
+        card = card_behind(make_spoofer(os.fspath(policy)))
+    elif isinstance(policy, Mapping | Spoofer):
         card = card_behind(specify_policy(policy).build())
     if card is not None:
         find_card_settings(card)  # or what is wrong with it
