@@ -41,6 +41,7 @@ from spoofgym.bench.experiments import Store
 from spoofgym.bench.experiments.dataset import Dataset, Episodes, load_dataset
 from spoofgym.core.declared import check_number
 from spoofgym.core.progress import show_progress
+from spoofgym.core.reading import name_file
 from spoofgym.core.registry import whole_number
 from spoofgym.detectors.calibration_file import check_runs
 from spoofgym.policies.card import DECIDED_ON
@@ -189,9 +190,11 @@ def train(given: Arguments, console: Console) -> Path:
     data = load_dataset(given.data)
     config = {**given.identity, "name": given.out.name, "data": data.digest}
     validation, episodes = data.episodes("validation"), data.episodes("train")
-    data.episodes("test")  # or that it is damaged; it is used in the end
+    test = data.episodes("test")  # or that it is damaged; it is used in the end
     clean = int(validation.clean.sum())
-    check_runs(given.false_alarms_per_hour, clean, window_s(data.config), tail=False)
+    for part, runs in (("validation", clean), ("test", int(test.clean.sum()))):
+        with name_file(f"{given.data}, part {part}"):
+            check_runs(given.false_alarms_per_hour, runs, window_s(data.config), tail=False)
     trainer, started = Trainer(given, data), time.monotonic()
     Store(given.out).open("detector", {**config, "versions": learning_versions()})
     checkpoint = given.out / CHECKPOINT

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.settings import describe, format_card_diff, get_kind
-from ..detectors.calibrated import resolve_thresholds
+from ..detectors.calibrated import Calibrated, resolve_thresholds
 from ..policies.card import SpooferCard
 from ..simulation.monitors import Monitor, PastPositions, needed_monitors
 from ..simulation.setup import Setup
@@ -241,4 +241,7 @@ def _describe_part(part: Any) -> Any:
         return part
     if isinstance(part, Real):
         return float(part)
+    if isinstance(part, Calibrated):  # beside a plain detector, whose thresholds alone differ
+        own = describe(part)
+        return {**own.pop("detector"), **{name: own[name] for name in own if name != "kind"}}
     return describe(part) if dataclasses.is_dataclass(part) else get_kind(type(part))

@@ -211,3 +211,12 @@ def test_a_shipped_spoofer_plays_the_environment_of_its_card(name):
     other = {**card.env_kwargs, "detector": {"name": "cusum", "thresholds": "nominal"}}
     with pytest.raises(ValueError, match="detector"):
         attach(name, gym.make_vec(card.env_id, num_envs=2, **other))
+
+
+def test_where_thresholds_alone_differ_nothing_else_of_the_detector_is_named():
+    env = gym.make("spoofgym/Zhong2025-v0", detector={"name": "ewma", "thresholds": "nominal"})
+    with pytest.raises(ValueError, match=r"'ewma-ppo' was made for") as error:
+        attach("ewma-ppo", env)
+    named = [line.split(":")[0].strip() for line in str(error.value).splitlines()]
+    named = [name for name in named if name.startswith("detector.")]
+    assert named == ["detector.scale", "detector.false_alarms_per_hour", "detector.rescaled"]

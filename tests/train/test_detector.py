@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from agents.detector_loss import compute_undetected
 from agents.detector_score import score_non_learned, score_statistic
 from agents.record import read_record
 from spoofgym.bench.experiments import Store, run_experiment
-from spoofgym.bench.experiments.dataset import Episodes, Plan, load_dataset
+from spoofgym.bench.experiments.dataset import Dataset, Episodes, Plan, load_dataset
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.record import compute_displacement
 from spoofgym.bench.runs.world import World
@@ -228,11 +229,17 @@ def test_what_does_not_fit_is_refused_before_anything_is_written(data, file, tmp
     for changes, message in (
         ({"width": 9}, r"other results.*width: 8, not 9"),
         ({"out": tmp_path / "other"}, "not empty"),
-        ({"out": tmp_path / "few", "false_alarms_per_hour": 0.2}, "clean runs are too few"),
+        ({"out": tmp_path / "few", "false_alarms_per_hour": 0.2}, "part validation: 0.2 false"),
         ({"data": copy, "out": tmp_path / "late"}, r"test-\d+\.npz is missing"),
     ):
         with pytest.raises(ValueError, match=message):
             train(replace(given, **changes), QUIET)
+    with monkeypatch.context() as patch:  # fewer in one part
+        rows = {"validation": 300, "test": 100, "train": 9}
+        clean = lambda _, part: SimpleNamespace(clean=np.ones(rows[part], dtype=bool))  # noqa: E731
+        patch.setattr(Dataset, "episodes", clean)
+        with pytest.raises(ValueError, match=r"part test: 0\.5 false .*100 clean runs are too few"):
+            train(replace(given, out=tmp_path / "few", false_alarms_per_hour=0.5), QUIET)
     assert {path.name for path in tmp_path.iterdir()} == {"other", "copy"}  # names are still free
     for bad in ({"passes": 0}, {"learning_rate": 0.0}, {"seed": -1}, {"out": Path("a b")}):
         with pytest.raises(ValueError, match=f"`{next(iter(bad))}`"):
