@@ -44,6 +44,14 @@ def sparse_tensor(model):
     sparse.values.external_data.add(key="location", value="weights.bin")
 
 
+def sparse_constant(model):
+    """280 bytes that unpack to 16 GiB."""
+    values = helper.make_tensor("few", TensorProto.FLOAT, [1], [1.0])
+    places = helper.make_tensor("where", TensorProto.INT64, [1], [7])
+    sparse = helper.make_sparse_tensor(values, places, [2**32])
+    model.graph.node.insert(0, helper.make_node("Constant", [], ["c"], sparse_value=sparse))
+
+
 def external_in_attribute(model):
     tensor = TensorProto(name="inside", data_type=TensorProto.FLOAT, dims=[1])
     tensor.external_data.add(key="location", value="weights.bin")
@@ -77,9 +85,19 @@ def doubles(model):
     model.graph.node[1].input[0] = "single"
 
 
+NODE = helper.make_node
 REFUSED = {
     "external": (external, r"keeps its tensor 'w0' in external data"),
     "sparse": (sparse_tensor, r"has a sparse tensor"),
+    "sparse constant": (sparse_constant, r"has a sparse tensor"),
+    "shape of many dimensions": (
+        behind(NODE("Reshape", ["observation", "long"], ["r"]), long=np.ones(10_000, np.int64)),
+        r"the operator Reshape with a tensor that is too large",
+    ),
+    "result of 4 GiB elements": (
+        behind(NODE("Expand", ["one", "wide"], ["r"]), one=np.float32(1.0), wide=np.array([2**32])),
+        r"the operator Expand with a tensor that is too large",
+    ),
     "external in an attribute": (external_in_attribute, r"tensor 'inside' in external data"),
     "custom": (replaced("Spy", domain="evil"), r"has the operator evil::Spy, which a policy may"),
     "custom function": (custom_function, r"defines the function Copy; inline it"),
@@ -188,7 +206,6 @@ def heavy(model):
 
 
 INFINITE = {"inf": np.float32([np.inf] * 2)}
-NODE = helper.make_node
 LOADED = {
     "of what is negative": (replaced("Log"), r"within the bounds on its card: .* NaN for receiver"),
     "nothing by nothing": (nothing_by_nothing, "tried within the bounds on its card"),
