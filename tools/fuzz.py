@@ -21,7 +21,8 @@ import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -41,8 +42,10 @@ from spoofgym.policies.card import Card
 from spoofgym.policies.onnx_file import read_model
 from spoofgym.policies.onnx_model import OnnxModel
 from spoofgym.policies.zoo import ZOO_FOLDER
+from spoofgym.receiver.autopilots import read_ulog
 from spoofgym.spoofers import make_spoofer
 from spoofgym.truth.scenario import make_scenario
+from tools.autopilot_logs import fly, write_ulog
 
 MEMORY, LIMIT_S, LARGEST_GROWTH = 3 << 30, 5, 500 << 20
 """Of the address space of a child [bytes], of a case [s], and of its memory in use [bytes]."""
@@ -136,6 +139,17 @@ def _read_track(path: Path) -> None:
 def _read_navigation(path: Path) -> None:
     found = read_navigation(path)
     assert all(np.isfinite(x).all() for k, x in vars(found).items() if k != "satellite_id")
+
+
+def _flights() -> list[bytes]:
+    flights = [fly(seconds=12.0, old=old)[0] for old in (False, True)]
+    return [_write("x.ulg", partial(write_ulog, topics=topics)) for topics in flights]
+
+
+def _read_flight(path: Path) -> None:
+    """A log has checked itself; what is said of it must be printable."""
+    log = read_ulog(path)
+    json.dumps([*log.check_signals(), log.about], allow_nan=False)
 
 
 def _read_onnx(path: Path) -> None:
@@ -249,6 +263,8 @@ READERS = {
     ),
     "track-parquet": Reader(".parquet", _parquet, _read_track),
 }
+if find_spec("pyulog"):
+    READERS["ulog"] = Reader(".ulg", _flights, _read_flight)
 
 
 def mutate(content: bytes, rng: np.random.Generator) -> bytes:

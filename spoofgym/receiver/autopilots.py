@@ -84,6 +84,21 @@ def read_ulog(path: Path) -> InnovationLog:
         return _make_log(rows, about)
 
 
+class _Content(io.BytesIO):
+    """A file that ends a reader's patience: pyulog 1.3 steps back for ever in some damaged ones."""
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__(content)
+        self.left = 4 * len(content) + 2**16
+
+    def read(self, size: int | None = -1) -> bytes:
+        data = super().read(size)
+        self.left -= max(len(data), 16)
+        if self.left < 0:
+            raise EOFError("too much of it is damaged")
+        return data
+
+
 def _parse_ulog(content: bytes) -> Topics:
     try:
         from pyulog import ULog
@@ -92,10 +107,10 @@ def _parse_ulog(content: bytes) -> Topics:
     wanted = [*INNOVATIONS, *(each[0] for each in INNOVATIONS.values()), *RESETS, SELECTOR]
     try:
         with redirect_stdout(io.StringIO()):
-            head = ULog(io.BytesIO(content), parse_header_only=True)
+            head = ULog(_Content(content), parse_header_only=True)
             for name in head.message_formats:
                 _count_fields(name, head.message_formats)
-            data = ULog(io.BytesIO(content), wanted).data_list
+            data = ULog(_Content(content), wanted).data_list
     except Exception as error:  # of any kind, as damage has it
         raise ValueError(f"pyulog can't read it: {error}") from error
     topics = {}

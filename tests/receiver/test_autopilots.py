@@ -10,9 +10,9 @@ from spoofgym import InnovationLog
 from spoofgym.calibration.log import judge_log
 from spoofgym.core.reading import FileError
 from spoofgym.receiver.autopilots import read_ulog
+from tools.autopilot_logs import FUSED_S, SD, fly, message, write_ulog
 
 from ..command_line import call, refused
-from .ulog import FUSED_S, SD, fly, message, write_ulog
 
 TESTS = ("snapshot-chi2", "ewma", "cusum", "aime", "glr-step")
 needs_pyulog = pytest.mark.skipif(find_spec("pyulog") is None, reason="needs pyulog")

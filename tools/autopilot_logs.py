@@ -1,6 +1,10 @@
-"""Small logs of PX4, written as its format says, and a flight to fill them with."""
+"""Small logs of autopilots for tests and the fuzzer, as their formats say, and a flight in them."""
+
+from __future__ import annotations
 
 import struct
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,11 +14,14 @@ SD = np.array([2.0, 2.0, 3.0, 0.3, 0.3, 0.4])
 FUSED_S, RESET_S, GAP_S = 6.0, 30.0, (40.0, 45.0)
 
 
-def message(kind, body):
+def message(kind: str, body: bytes) -> bytes:
     return struct.pack("<HB", len(body), ord(kind)) + body
 
 
-def write_ulog(path, topics):
+Topics = dict[tuple[str, int], dict[str, Any]]
+
+
+def write_ulog(path: Path, topics: Topics) -> Path:
     """`topics`: by name and instance, columns by "type name"; the first is "uint64_t timestamp"."""
     formats, joins, rows = {}, [], []
     for number, ((name, instance), columns) in enumerate(topics.items()):
@@ -33,16 +40,22 @@ def write_ulog(path, topics):
     return path
 
 
-def microseconds(time):
+def microseconds(time: Any) -> Any:
     return np.round(1e6 * time).astype(np.uint64)
 
 
-def split(values):
+def split(values: Any) -> Any:
     """(k, 6) positions and velocities as the fields of `GPS`."""
     return values[:, :2], values[:, 2], values[:, 3:5], values[:, 5]
 
 
-def fly(believed=1.0, seconds=60.0, old=False, height=True, seed=0):
+def fly(
+    believed: float = 1.0,
+    seconds: float = 60.0,
+    old: bool = False,
+    height: bool = True,
+    seed: int = 0,
+) -> tuple[Topics, Any]:
     """Topics of a flight, published twice for every fix of 5 Hz, and its true innovations (k, 6).
 
     Before GNSS is fused positions are wild; a reset and a gap follow. `believed`: how many times
