@@ -76,9 +76,8 @@ class Rows(NamedTuple):
 def read_ulog(path: Path) -> InnovationLog:
     """Innovations of EKF2 in a log of PX4."""
     with name_file(path):
-        topics = _parse_ulog(read_file(path, LARGEST_FLIGHT))
         try:
-            rows, about = _find_innovations(topics)
+            rows, about = _find_innovations(_parse_ulog(read_file(path, LARGEST_FLIGHT)))
         except KeyError as error:
             raise ValueError(f"a topic lacks the field {error}") from error
         return _make_log(rows, about)
