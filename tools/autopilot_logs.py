@@ -92,3 +92,57 @@ def fly(
         },
         ("estimator_status", 0): status,
     }, z
+
+
+MESSAGES = {
+    "XKF3": ("QBcccccchhhccff", "TimeUS,C,IVN,IVE,IVD,IPN,IPE,IPD,IMX,IMY,IMZ,IYAW,IVT,RErr,ErSc"),
+    "XKF4": ("QBcccccfffHBIHb", "TimeUS,C,SV,SP,SH,SM,SVT,errRP,OFN,OFE,FS,TS,SS,GPS,PI"),
+    "PARM": ("QNff", "TimeUS,Name,Value,Default"),
+}
+LETTERS = {"N": "16s", "c": "h"}
+
+
+def write_dataflash(path: Path, rows: list[tuple[str, dict[str, Any]]]) -> Path:
+    """A log of ArduPilot: `rows` are names of `MESSAGES` with values by column, else 0."""
+    parts = []
+    for number, (name, (letters, columns)) in enumerate(MESSAGES.items(), 10):
+        form = "<" + "".join(LETTERS.get(x, x) for x in letters)
+        texts = name.encode(), letters.encode(), columns.encode()
+        parts.append(
+            struct.pack("<3sBB4s16s64s", b"\xa3\x95\x80", number, 3 + struct.calcsize(form), *texts)
+        )
+        for _, row in (each for each in rows if each[0] == name):
+            values = [row.get(x, b"" if x == "Name" else 0) for x in columns.split(",")]
+            parts.append(
+                struct.pack("<3s", b"\xa3\x95" + bytes([number])) + struct.pack(form, *values)
+            )
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+def fly_ardupilot(
+    believed: float = 1.0, seconds: float = 60.0, height: int = 3, seed: int = 0
+) -> tuple[list[tuple[str, dict[str, Any]]], Any]:
+    """Rows of two cores, of which core 1 flies, and its true innovations (k, 6) of 5 Hz."""
+    rng = np.random.default_rng(seed)
+    time = 1.0 + 0.2 * np.arange(round(5 * seconds))
+    z = np.round(SD * rng.standard_normal((len(time), 6)), 2)
+    S = (believed * SD) ** 2
+    gates = {"EK3_VEL_I_GATE": 300, "EK3_POS_I_GATE": 500, "EK3_SRC1_POSZ": height}
+    rows = [("PARM", {"Name": name.encode(), "Value": x}) for name, x in gates.items()]
+    for t, x in zip(time, z, strict=True):
+        shown = np.where(t < FUSED_S, [0, 300.0, 0, 0, 0, 0], -x)
+        ratios = [
+            np.sqrt((x[part] ** 2).sum() / S[part].sum()) / gate
+            for part, gate in ((slice(3, 6), 3.0), (slice(0, 2), 5.0), (slice(2, 3), 5.0))
+        ]
+        flags = 1 << 13 if t >= FUSED_S else 1 << 7
+        for core in (0, 1):
+            common = {"TimeUS": round(1e6 * t), "C": core}
+            cm = np.round(100 * (shown if core else 2 * shown)).clip(-32768, 32767).astype(int)
+            names = ("IPN", "IPE", "IPD", "IVN", "IVE", "IVD")
+            rows.append(("XKF3", {**common, **dict(zip(names, cm.tolist(), strict=True))}))
+            tests = dict(zip(("SV", "SP", "SH"), (int(100 * r) for r in ratios), strict=True))
+            offset = {"OFN": 2.5 * (t > RESET_S), "SS": flags, "PI": 1}
+            rows.append(("XKF4", {**common, **tests, **offset}))
+    return rows, z

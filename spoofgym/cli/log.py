@@ -111,15 +111,18 @@ def judge_(
 @clear_errors
 def import_log(
     log: Annotated[
-        Path, Argument(help="Log of PX4 (.ulg), a table (.csv, .parquet), or matrices (.npz).")
+        Path,
+        Argument(
+            help="Log of PX4 (.ulg) or ArduPilot (.bin), a table (.csv, .parquet), or matrices (.npz)."
+        ),
     ],
     out: Annotated[Path, Option("--out", "-o", help="File to write, .npz or .csv.")],
 ) -> None:
     """Write a log of an autopilot as one of innovations, or such a log in the other form."""
-    from ..receiver.autopilots import read_ulog
+    from ..receiver.autopilots import read_dataflash, read_ulog
     from ..receiver.log import InnovationLog
 
-    readers = {".ulg": read_ulog}
+    readers = {".ulg": read_ulog, ".bin": read_dataflash}
     found = readers.get(log.suffix.lower(), InnovationLog.load)(log)
     print_lines(_describe_import(found))
     print_written([found.save(out)])

@@ -1,7 +1,8 @@
 """Logs of autopilots: the innovations of GNSS that a flight controller wrote down.
 
-PX4 writes ULog files, whose topics differ by version. Its filter logs state less measurement; here
-the sign is that of an `Epoch`. Channels are north, east and down.
+PX4 writes ULog files, whose topics differ by version, and ArduPilot writes DataFlash, which has
+test ratios instead of variances. Both log state less measurement; here the sign is that of an
+`Epoch`. Channels are north, east and down.
 
 What flags say not to be of GNSS is left out: the fields of GNSS also hold innovations of a position
 that the filter assumes as long as it has none, and wild values before the first fix is fused.
@@ -11,7 +12,7 @@ that the filter assumes as long as it has none, and wild values before the first
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -75,9 +76,18 @@ class Rows(NamedTuple):
 
 def read_ulog(path: Path) -> InnovationLog:
     """Innovations of EKF2 in a log of PX4."""
+    return _read_log(path, lambda content: _find_innovations(_parse_ulog(content)))
+
+
+def read_dataflash(path: Path) -> InnovationLog:
+    """Innovations of EKF3 in a log of ArduPilot, whose variances follow from its test ratios."""
+    return _read_log(path, lambda content: _find_ratios(_parse_dataflash(content)))
+
+
+def _read_log(path: Path, read: Callable[[bytes], tuple[Rows, dict[str, Any]]]) -> InnovationLog:
     with name_file(path):
         try:
-            rows, about = _find_innovations(_parse_ulog(read_file(path, LARGEST_FLIGHT)))
+            rows, about = read(read_file(path, LARGEST_FLIGHT))
         except KeyError as error:
             raise ValueError(f"a topic lacks the field {error}") from error
         return _make_log(rows, about)
@@ -146,8 +156,8 @@ def _find_innovations(topics: Topics) -> tuple[Rows, dict[str, Any]]:
     time = _read_time(found)
     counter, resets = _read_resets(topics, instance, time)
     nearest, away = _find_nearest(_read_time(variances), time)
-    fused = np.tile(_read_flag(status, GNSS, time)[:, None], 6)
-    fused[:, 2] &= _read_flag(status, GNSS_HEIGHT, time)
+    fused = np.tile(_read_flag(status, "control_mode_flags", time, GNSS)[:, None], 6)
+    fused[:, 2] &= _read_flag(status, "control_mode_flags", time, GNSS_HEIGHT)
     rows = Rows(
         time=time,
         innovation=-_stack(found, fields),
@@ -192,9 +202,15 @@ def _find_nearest(when: FloatArray, time: FloatArray) -> tuple[NDArray[np.int64]
     return np.where(away[0] < away[1], before, after), away.min(axis=0)
 
 
-def _read_flag(status: Columns, bit: int, time: FloatArray) -> NDArray[np.bool_]:
-    """Whether a flag is set before and after each time: it may have changed in between."""
-    flags = (status["control_mode_flags"].astype(np.uint64) >> np.uint64(bit)) & np.uint64(1) > 0
+def _read_flag(
+    status: Columns, name: str, time: FloatArray, on: int, off: int | None = None
+) -> NDArray[np.bool_]:
+    """Whether a bit is set, and another is not, before and after each time, between which they may
+    have changed."""
+    bits = status[name].astype(np.uint64)
+    flags = (bits >> np.uint64(on)) & np.uint64(1) > 0
+    if off is not None:
+        flags &= (bits >> np.uint64(off)) & np.uint64(1) == 0
     before = np.searchsorted(_read_time(status), time, side="right") - 1
     after = np.minimum(before + 1, len(flags) - 1)
     return np.asarray((before >= 0) & flags[before] & flags[after])
@@ -207,6 +223,109 @@ def _read_resets(topics: Topics, instance: int, time: FloatArray) -> tuple[str, 
             before = np.searchsorted(_read_time(columns), time, side="right") - 1
             return f"counters of resets of {topic}", _stack(columns, fields)[np.maximum(before, 0)]
     return "no counters of resets, which were not logged", np.zeros((len(time), 0))
+
+
+FORMATS = {
+    **{"b": "i1", "B": "u1", "M": "u1", "h": "<i2", "H": "<u2", "c": "<i2", "C": "<u2"},
+    **{"i": "<i4", "I": "<u4", "e": "<i4", "E": "<u4", "L": "<i4", "q": "<i8", "Q": "<u8"},
+    **{"f": "<f4", "d": "<f8", "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "a": "S64"},
+}
+"""Fields of a DataFlash message by the letter of its format; those of cCeE are hundredths."""
+EKF3 = ("XKF3", "XKF4", "PARM")
+USING_GPS, ASSUMED = 13, 7  # bits of XKF4.SS: GNSS is used; a position is assumed
+GATES = ("EK3_POS_I_GATE", "EK3_HGT_I_GATE", "EK3_VEL_I_GATE")
+GATE = 500.0  # hundredths of a standard deviation, where a log has no parameters
+HALF = 0.005  # of the step to which test ratios are cut off
+SMOOTH_S = 5.0  # before and after, from which variances follow
+NO_EKF3 = (
+    "it holds no XKF3 and XKF4: fly with EKF3 (AHRS_EKF_TYPE 3) and log attitude (LOG_BITMASK), "
+    "with which ArduPilot logs them"
+)
+
+
+def _parse_dataflash(content: bytes) -> dict[str, Columns]:
+    """Columns of the messages `EKF3`: a log says itself what its messages hold."""
+    kinds = {128: (89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")}
+    places: dict[int, list[int]] = {}
+    at = 0
+    while (at := content.find(b"\xa3\x95", at)) >= 0 and at + 3 <= len(content):
+        kind = content[at + 2]
+        length = kinds[kind][0] if kind in kinds else 0
+        if not length or at + length > len(content):
+            at += 1
+            continue
+        if kind == 128:
+            new, size = content[at + 3 : at + 5]
+            texts = content[at + 5 : at + 9], content[at + 9 : at + 25], content[at + 25 : at + 89]
+            name, fields, columns = (x.split(b"\0")[0].decode("latin-1") for x in texts)
+            if size > 3:
+                kinds.setdefault(new, (size, name, fields, columns))
+        elif kinds[kind][1] in EKF3:
+            places.setdefault(kind, []).append(at + 3)
+        at += length
+    found = {}
+    for kind, starts in places.items():
+        length, name, fields, columns = kinds[kind]
+        names = columns.split(",")
+        kept = np.dtype([(x, FORMATS[letter]) for x, letter in zip(names, fields, strict=True)])
+        require(
+            kept.itemsize == length - 3, f"the format of {name} has another length than it says"
+        )
+        rows = np.frombuffer(b"".join(content[k : k + length - 3] for k in starts), kept)
+        found[name] = {
+            x: rows[x] * 0.01 if letter in "cCeE" else rows[x]
+            for x, letter in zip(names, fields, strict=True)
+        }
+    return found
+
+
+def _find_ratios(messages: Mapping[str, Columns]) -> tuple[Rows, dict[str, Any]]:
+    """Innovations of EKF3, with the variances that its test ratios and gates stand for."""
+    if any(name not in messages for name in EKF3[:2]):
+        raise ValueError(NO_EKF3)
+    primary, counts = np.unique(messages["XKF4"]["PI"], return_counts=True)
+    core = primary[counts.argmax()]
+    found, status = (_sort(messages[name], core) for name in EKF3[:2])
+    parameters = messages.get("PARM", {"Name": np.array([]), "Value": np.array([])})
+    values = dict(zip(parameters["Name"].tolist(), parameters["Value"].tolist(), strict=True))
+    time = _read_time(found)
+    innovation = -_stack(found, ("IPN", "IPE", "IPD", "IVN", "IVE", "IVD"))
+    nearest, away = _find_nearest(_read_time(status), time)
+    ratio = np.where(
+        away[:, None] < MOST_AWAY_S, _stack(status, ("SP", "SH", "SV"))[nearest], np.nan
+    )
+    gate = np.maximum([0.01 * values.get(name.encode(), GATE) for name in GATES], 1.0)
+    used = _read_flag(status, "SS", time, USING_GPS, off=ASSUMED)
+    near = np.searchsorted(time, [time - SMOOTH_S, time + SMOOTH_S])
+    variance = np.empty_like(innovation)
+    for k, part in enumerate((slice(0, 2), slice(2, 3), slice(3, 6))):
+        square = np.mean(innovation[:, part] ** 2, axis=1)
+        of_sd = (gate[k] * (ratio[:, k] + HALF)) ** 2
+        sums = [np.cumsum([0.0, *np.where(used & (of_sd > 0.0), x, 0.0)]) for x in (square, of_sd)]
+        above, below = (x[near[1]] - x[near[0]] for x in sums)
+        variance[:, part] = np.divide(above, below, where=below > 0.0, out=0.0 * below)[:, None]
+    fused = np.tile(used[:, None], 6)
+    fused[:, 2] &= values.get(b"EK3_SRC1_POSZ") == 3
+    resets = _stack(status, ("OFN", "OFE"))[nearest]
+    return Rows(time, innovation, variance, fused, resets), {
+        "found": f"{len(time)} epochs of XKF3, core {core}",
+        "trusted": f"bits {USING_GPS} (uses GPS) and {ASSUMED} (assumes a position) of XKF4.SS, "
+        "EK3_SRC1_POSZ, resets of XKF4.OFN and OFE",
+        "reconstructed": "variances, from innovations and test ratios of XKF4 within "
+        f"{SMOOTH_S:g} s, the same for all axes of a test; gates: "
+        + ", ".join(f"{name} {100.0 * x:g}" for name, x in zip(GATES, gate, strict=True)),
+    }
+
+
+def _sort(columns: Columns, core: int) -> Columns:
+    """Rows of a core in the order of time."""
+    order = np.argsort(columns["TimeUS"], kind="stable")
+    order = order[columns["C"][order] == core]
+    require(len(order) > 0, f"core {core}, which flew, was not logged")
+    return {
+        **{name: x[order] for name, x in columns.items()},
+        "timestamp": columns["TimeUS"][order],
+    }
 
 
 def _make_log(rows: Rows, about: dict[str, Any]) -> InnovationLog:

@@ -9,8 +9,16 @@ import pytest
 from spoofgym import InnovationLog
 from spoofgym.calibration.log import judge_log
 from spoofgym.core.reading import FileError
-from spoofgym.receiver.autopilots import read_ulog
-from tools.autopilot_logs import FUSED_S, SD, fly, message, write_ulog
+from spoofgym.receiver.autopilots import read_dataflash, read_ulog
+from tools.autopilot_logs import (
+    FUSED_S,
+    SD,
+    fly,
+    fly_ardupilot,
+    message,
+    write_dataflash,
+    write_ulog,
+)
 
 from ..command_line import call, refused
 
@@ -162,3 +170,62 @@ def test_a_simulated_flight_of_px4_starts_with_its_first_fix(data_folder):
     assert np.abs(log.innovation).max() < 1.0  # -1,006,600 m before
     assert [round(each.nis, 3) for each in log.check_signals()] == [0.015, 0.057]
     assert max(found.ratio.max() for found in judge_log(log, list(TESTS))) < 0.3
+
+
+def test_variances_of_ardupilot_follow_from_its_test_ratios(tmp_path):
+    rows, z = fly_ardupilot()
+    path = write_dataflash(tmp_path / "flight.BIN", rows)
+    log = read_dataflash(path)
+    at = np.round((log.time - 1.0) / 0.2).astype(int)
+    np.testing.assert_allclose(log.innovation, z[at], atol=1e-9)  # of the core that flew
+    assert len(at) == 275  # of 300, from the first fix on
+    # Of a test all axes have the same variance, that of 10 s; ratios are cut off to hundredths.
+    for part in (slice(0, 2), slice(2, 3), slice(3, 6)):
+        found = log.variance[:, part].sum(axis=1) / (SD[part] ** 2).sum()
+        np.testing.assert_allclose(found, 1.0, atol=0.02)
+    assert log.time[1:][np.diff(log.segment) > 0].tolist() == pytest.approx([30.2])
+    assert (
+        "EK3_POS_I_GATE 500, EK3_HGT_I_GATE 500, EK3_VEL_I_GATE 300" in log.about["reconstructed"]
+    )
+    low = read_dataflash(write_dataflash(path, fly_ardupilot(height=1)[0]))
+    assert np.isnan(low.innovation[:, 2]).all()
+
+
+@pytest.mark.skipif(find_spec("pymavlink") is None, reason="needs pymavlink, as a referee")
+def test_messages_of_ardupilot_are_those_that_pymavlink_reads(tmp_path):
+    from pymavlink.DFReader import DFReader_binary
+
+    rows, z = fly_ardupilot()
+    path = write_dataflash(tmp_path / "flight.BIN", rows)
+    with DFReader_binary(str(path)) as theirs:
+        messages = iter(lambda: theirs.recv_match(type=["XKF3"]), None)
+        found = [(each.IPN, each.IVD) for each in messages if each.C == 1]
+    assert len(found) == len(z)
+    log = read_dataflash(path)
+    np.testing.assert_allclose(np.array(found)[25:], -log.innovation[:, [0, 5]], atol=1e-9)
+
+
+def test_an_ardupilot_that_believes_in_noise_is_imported_and_judged(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = write_dataflash(tmp_path / "flight.BIN", fly_ardupilot(believed=8.0)[0])
+    shown = " ".join(call("log", "import", path, "-o", "flight.npz").output.split())
+    assert "found: 300 epochs of XKF3, core 1" in shown
+    assert "reconstructed: variances" in shown
+    log = InnovationLog.load("flight.npz")
+    assert all(each.nis < 0.05 for each in log.check_signals())
+    assert max(found.ratio.max() for found in judge_log(log, list(TESTS))) < 0.2
+
+
+def test_damaged_logs_of_ardupilot_are_read_or_refused_with_their_name(tmp_path):
+    rows, _ = fly_ardupilot(seconds=12.0)
+    path = write_dataflash(tmp_path / "flight.BIN", rows)
+    whole, outcomes = path.read_bytes(), set()
+    for size in np.linspace(0, len(whole), 40).astype(int):
+        path.write_bytes(whole[:size])
+        try:
+            outcomes.add(len(read_dataflash(path).time) > 1)
+        except FileError as error:
+            outcomes.add(str(error).split(":")[0])
+    assert outcomes == {True, str(path)}
+    write_dataflash(path, [row for row in rows if row[0] != "XKF4"])
+    assert "holds no XKF3 and XKF4: fly with EKF3" in refused("log", "import", path, "-o", "x.npz")
