@@ -263,7 +263,7 @@ def _parse_dataflash(content: bytes) -> dict[str, Columns]:
         elif kinds[kind][1] in EKF3:
             places.setdefault(kind, []).append(at + 3)
         at += length
-    found = {}
+    found: dict[str, Columns] = {}
     for kind, starts in places.items():
         length, name, fields, columns = kinds[kind]
         names = columns.split(",")
