@@ -113,7 +113,8 @@ def import_log(
     log: Annotated[
         Path,
         Argument(
-            help="Log of PX4 (.ulg) or ArduPilot (.bin), a table (.csv, .parquet), or matrices (.npz)."
+            help="Log of PX4 (.ulg) or ArduPilot (.bin), a table (.csv, .parquet), or matrices "
+            "(.npz)."
         ),
     ],
     out: Annotated[Path, Option("--out", "-o", help="File to write, .npz or .csv.")],

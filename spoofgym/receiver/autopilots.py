@@ -33,6 +33,7 @@ Topics = Mapping[tuple[str, int], Columns]
 LARGEST_FLIGHT = 2**29  # of a file [bytes], some hours
 MOST_FIELDS = 4096  # of a topic with the types in it
 GAP = 5.0  # median intervals without an innovation, after which a new segment begins
+DAMAGED = "too much of it is damaged"
 MOST_AWAY_S = 1.0  # a variance from its innovation
 CHANNELS = ("north", "east", "down")
 GNSS, GNSS_HEIGHT = 2, 11  # bits of `control_mode_flags`, which say what is being fused
@@ -104,7 +105,7 @@ class _Content(io.BytesIO):
         data = super().read(size)
         self.left -= max(len(data), 16)
         if self.left < 0:
-            raise EOFError("too much of it is damaged")
+            raise EOFError(DAMAGED)
         return data
 
 
@@ -247,12 +248,13 @@ def _parse_dataflash(content: bytes) -> dict[str, Columns]:
     """Columns of the messages `EKF3`: a log says itself what its messages hold."""
     kinds = {128: (89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")}
     places: dict[int, list[int]] = {}
-    at = 0
+    at = skipped = 0
     while (at := content.find(b"\xa3\x95", at)) >= 0 and at + 3 <= len(content):
         kind = content[at + 2]
         length = kinds[kind][0] if kind in kinds else 0
         if not length or at + length > len(content):
-            at += 1
+            at, skipped = at + 1, skipped + 1
+            require(skipped < 1000 + len(content) // 64, DAMAGED)
             continue
         if kind == 128:
             new, size = content[at + 3 : at + 5]
