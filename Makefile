@@ -17,7 +17,7 @@ SOAK_MINUTES ?= 10
 extras_bench := flights,limits,report
 extras_check := flights,limits,report,dev
 extras_docs  := docs
-extras_test  := flights,limits,report,video,dev,train
+extras_test  := flights,limits,logs,report,video,dev,train
 extras_train := report,train
 extras_learn := flights,limits,report,train
 

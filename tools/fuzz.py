@@ -21,7 +21,8 @@ import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -41,8 +42,10 @@ from spoofgym.policies.card import Card
 from spoofgym.policies.onnx_file import read_model
 from spoofgym.policies.onnx_model import OnnxModel
 from spoofgym.policies.zoo import ZOO_FOLDER
+from spoofgym.receiver.autopilots import read_dataflash, read_ulog
 from spoofgym.spoofers import make_spoofer
 from spoofgym.truth.scenario import make_scenario
+from tools.autopilot_logs import fly, fly_ardupilot, write_dataflash, write_ulog
 
 MEMORY, LIMIT_S, LARGEST_GROWTH = 3 << 30, 5, 500 << 20
 """Of the address space of a child [bytes], of a case [s], and of its memory in use [bytes]."""
@@ -138,6 +141,21 @@ def _read_navigation(path: Path) -> None:
     assert all(np.isfinite(x).all() for k, x in vars(found).items() if k != "satellite_id")
 
 
+def _flights() -> list[bytes]:
+    flights = [fly(seconds=12.0, old=old)[0] for old in (False, True)]
+    return [_write("x.ulg", partial(write_ulog, topics=topics)) for topics in flights]
+
+
+def _dataflash() -> list[bytes]:
+    return [_write("x.bin", partial(write_dataflash, rows=fly_ardupilot(seconds=12.0)[0]))]
+
+
+def _read_flight(path: Path) -> None:
+    """A log has checked itself; what is said of it must be printable."""
+    log = read_ulog(path) if path.suffix == ".ulg" else read_dataflash(path)
+    json.dumps([*log.check_signals(), log.about], allow_nan=False)
+
+
 def _read_onnx(path: Path) -> None:
     content = path.read_bytes()
     about = _describe(content)
@@ -216,6 +234,7 @@ READERS = {
     "card": Reader(".json", lambda: [x.read_bytes() for x in ZOO_FOLDER.glob("*.json")], Card.load),
     "checkpoint": Reader(".pt", _checkpoints, _read_checkpoint),
     "config": Reader(".json", _dump({"experiment": "x", "format": 1, "config": {}}), _read_config),
+    "dataflash": Reader(".bin", _dataflash, _read_flight),
     "json": Reader(".json", _dump({"a": [1, 2.5, "x", None, {"b": []}]}), read_json),
     "navigation": Reader(".24n", lambda: [NAVIGATION.encode()], _read_navigation),
     "navigation-gz": Reader(
@@ -249,6 +268,8 @@ READERS = {
     ),
     "track-parquet": Reader(".parquet", _parquet, _read_track),
 }
+if find_spec("pyulog"):
+    READERS["ulog"] = Reader(".ulg", _flights, _read_flight)
 
 
 def mutate(content: bytes, rng: np.random.Generator) -> bytes:

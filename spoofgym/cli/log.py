@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
 
 from . import options as opt
 from .app import clear_errors, print_json, print_lines, print_written
+
+if TYPE_CHECKING:
+    from ..receiver.log import InnovationLog
 
 group = typer.Typer(
     help="Innovations of a receiver's log: do they fit their variances, and what do detectors see?",
@@ -44,12 +48,7 @@ def check_log(log: File, as_json: opt.Json = False) -> None:
     if as_json:
         print_json({**about, "signals": rows, "remarks": remarks})
         return
-    print_lines(
-        [
-            f"{about['epochs']} epochs in {about['segments']} segments, {about['duration_s']:g} s, "
-            f"one every {about['interval_s']:g} s, of {len(found.channels)} channels"
-        ]
-    )
+    print_lines([_describe_size(found)])
     Table(
         ("signal", "signal"),
         ("innovations", "innovations"),
@@ -111,10 +110,38 @@ def judge_(
 @group.command("import")
 @clear_errors
 def import_log(
-    log: File,
+    log: Annotated[
+        Path,
+        Argument(
+            help="Log of PX4 (.ulg) or ArduPilot (.bin), a table (.csv, .parquet), or matrices "
+            "(.npz)."
+        ),
+    ],
     out: Annotated[Path, Option("--out", "-o", help="File to write, .npz or .csv.")],
 ) -> None:
-    """Write a log in the other form: a table as matrices, or matrices as a table."""
+    """Write a log of an autopilot as one of innovations, or such a log in the other form."""
+    from ..receiver.autopilots import read_dataflash, read_ulog
     from ..receiver.log import InnovationLog
 
-    print_written([InnovationLog.load(log).save(out)])
+    readers = {".ulg": read_ulog, ".bin": read_dataflash}
+    found = readers.get(log.suffix.lower(), InnovationLog.load)(log)
+    print_lines(_describe_import(found))
+    print_written([found.save(out)])
+
+
+def _describe_size(log: InnovationLog) -> str:
+    return (
+        f"{len(log.time)} epochs in {len(set(log.segment.tolist()))} segments, "
+        f"{log.duration_s:.6g} s, one every {log.interval_s:.6g} s, of {len(log.channels)} channels"
+    )
+
+
+def _describe_import(log: InnovationLog) -> list[str]:
+    """What a reader found, left out and trusted, and how the rest fits its variances."""
+    lines = []
+    for key, value in log.about.items():
+        if isinstance(value, Mapping):
+            value = ", ".join(f"{count} {reason}" for reason, count in value.items()) or "nothing"
+        lines.append(f"{key.replace('_', ' ')}: {value}")
+    medians = [f"{each.median:.2g} ({each.signal})" for each in log.check_signals()]
+    return [*lines, f"kept: {_describe_size(log)}; median NIS {', '.join(medians)}"]

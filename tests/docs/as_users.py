@@ -13,6 +13,8 @@ COMMANDS, CODE = ("console", "bash", "sh"), "python"
 SHOWN = {
     "text": "a drawing",
     "json": "a result",
+    "cpp": "tests/docs/test_logs.py compiles it",
+    "matlab": "tests/docs/test_logs.py plays it where Octave is",
     "{eval-rst}": "`make docs` builds them",
 }
 """Languages of blocks that are nothing to run, and what they are."""
@@ -33,6 +35,7 @@ ELSEWHERE = '--out "$(mktemp -d)"'
 AUDIT = "--budget quick --runs 8 --selection-runs 4 --family ramps --family open-loop"
 SMALLER: dict[str, tuple[str | None, str]] = {
     r"pip install ": (None, "the tests' environment has them; test_readme compares the extras"),
+    r"spoofgym log import FLIGHT\.": (None, "tests/receiver/test_autopilots.py writes such files"),
     r"make test$": (None, "the other list, which is run beside this one"),
     r"python -m tools\.frozen ": (None, "needs a commit; tests/tools has tests of it"),
     r"python -m tools\.transfer ": (
