@@ -13,13 +13,17 @@ import math
 import os
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from numpy.lib import format as npy
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas
 
 GZIP_MAGIC = b"\x1f\x8b"
 LARGEST_SIZE = 64 * 2**20  # of a file, unpacked [bytes]: twice a day of records once a second
@@ -170,6 +174,30 @@ def check_table(rows: int, columns: int) -> None:
         raise ValueError(f"it must have at most {MOST_COLUMNS} columns, got {columns}")
     if rows * columns > MOST_CELLS:
         raise ValueError(f"it must hold at most {MOST_CELLS} values, got {rows * columns}")
+
+
+def read_table(path: Path, columns: Sequence[str] = (), *, header: bool = True) -> pandas.DataFrame:
+    """Table of a CSV or Parquet file; of Parquet the named columns alone, where there are any.
+    Without a `header` the columns have the names 1, 2, 3."""
+    if find_spec("pandas") is None:
+        raise ImportError("reading a table needs pandas and pyarrow: pip install spoofgym[flights]")
+    import pandas
+
+    if ".parquet" not in path.suffixes:
+        content = read_lines(path)
+        width = content.split(b"\n", 1)[0].count(b",") + 1
+        check_table(content.count(b"\n") + 1, width)
+        return pandas.read_csv(
+            io.BytesIO(content),
+            encoding="utf-8-sig",
+            **({} if header else {"header": None, "names": range(1, width + 1)}),
+        )
+    from pyarrow.parquet import ParquetFile
+
+    file = ParquetFile(io.BytesIO(read_file(path)))
+    found = [name for name in columns or file.schema.names if name in file.schema.names]
+    check_table(file.metadata.num_rows, len(found))
+    return file.read(columns=found).to_pandas()
 
 
 def parse_array(data: bytes) -> NDArray[Any]:

@@ -1,0 +1,421 @@
+"""From raw measurements to innovations: a receiver's observations, orbits and inertial samples.
+
+Pseudoranges and range rates lose what is not the receiver's: satellite clocks with relativity and
+group delay (IS-GPS-200, 20.3.3.3.3), the troposphere, constant offsets between the clocks of the
+systems, and the receiver's own steps of whole milliseconds.  What is left is replayed in pieces, a
+new one wherever time jumps or samples are missing; each begins with a least-squares fix, levelled,
+and with the heading of its velocity.  The ionosphere stays in.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.registry import require
+from ..data.ephemerides import GPS_EPOCH, VALIDITY, Ephemerides, propagate_orbits
+from ..data.inertial import InertialSamples
+from ..data.observations import Observations
+from ..earth.wgs84 import (
+    EARTH_RATE,
+    SPEED_OF_LIGHT,
+    dcm_e_from_n,
+    ecef_to_geodetic,
+    gravity,
+    look_angles,
+)
+from .epoch import FILTER
+from .log import MOST_ELEMENTS, InnovationLog
+from .plausibility import CLOCK_STEP, ImplausibleWarning
+from .recording import LONGEST_SAMPLE_S, Recording
+from .replay import Solution, replay
+from .snapshot import least_squares_fix
+from .tight import NavState, NoiseModel, TightlyCoupled
+
+Floats = NDArray[np.float64]
+ODD_M, ODD_RATIO = 500.0, 5.0
+"""Residuals of fixes that one satellite must explain, and how much smaller they are without it."""
+MOVING_MPS = 1.0  # horizontal speed whose direction is a heading
+LEVELLING_S = 1.0  # time before and after the start from which the first attitude follows
+FEWEST = 20  # epochs of a piece
+LONGEST_GAP_S = 10.0  # between epochs of a piece
+MASK_DEG = 10.0
+OSCILLATOR = 3e-6  # drift of a receiver's clock beyond which it is unusual [s/s]
+STATIC_STEP_S = 0.25
+STATES = 4  # position and clock of a fix
+
+
+@dataclass(frozen=True)
+class RawLog:
+    """Innovations of raw measurements, and how they came about.
+
+    - `log`: innovations of all pieces, times since the first epoch [s];
+    - `solutions`: GPS seconds at time zero of each piece, and what its replay estimated;
+    - `lines`: what was found, corrected and left out.
+    """
+
+    log: InnovationLog
+    solutions: tuple[tuple[float, Solution], ...]
+    lines: tuple[str, ...]
+
+
+def solve_raw(
+    observations: Observations,
+    ephemerides: Ephemerides,
+    samples: InertialSamples | None,
+    *,
+    grade: str = "consumer",
+    noise_factors: tuple[float, float] = (1.0, 1.0),
+) -> RawLog:
+    """Replay raw measurements, with inertial samples or, where they are None, at rest.
+
+    `grade`: of the inertial sensors, see `TightlyCoupled`; `noise_factors` on the standard
+    deviations of pseudoranges and range rates, which are those of the receiver itself, or those of
+    `NoiseModel` where it says nothing.
+    """
+    require(min(noise_factors) > 0.0, f"`noise_factors` must be positive, got {noise_factors}")
+    measured, still = Measured(observations, ephemerides), samples is None
+    if samples is None:
+        samples, grade = _rest(measured), "aviation"
+    elif samples.dropped:
+        measured.lines.append(f"{samples.dropped} inertial samples are not finite or late")
+    receiver, solutions, logs = TightlyCoupled(grade=grade), [], []
+    size = len(observations.time) * (2 * len(measured.satellites)) ** 2
+    require(size <= MOST_ELEMENTS, f"covariances would have {size:,} elements: cut it into parts")
+    for number, rows in enumerate(_cut_pieces(measured, samples)):
+        try:
+            row, initial = _find_start(measured, samples, rows, still)
+        except ValueError as error:
+            measured.lines.append(f"piece {number + 1} of {len(rows)} epochs is left out: {error}")
+            continue
+        rows = rows[rows > row]
+        recording = _make_recording(measured, samples, measured.time[row], rows)
+        variance = _variances(measured.sd[rows], noise_factors)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ImplausibleWarning)  # it is the remark
+            solution = replay(
+                recording, receiver, initial=initial, noise_variance=variance, fields=FILTER
+            )
+        start = float(measured.time[row])
+        after = start - observations.time[0]
+        measured.lines.append(f"piece {number + 1} starts after {after:.2f} s: {len(rows)} epochs")
+        measured.lines += [solution.remark] if solution.remark else []
+        solutions.append((start, solution))
+        log = InnovationLog.from_replay(solution)
+        logs.append(replace(log, time=log.time + after, segment=log.segment + number))
+    if not logs:
+        raise ValueError("; ".join(["nothing can be replayed", *measured.lines]))
+    joined = {
+        name: np.concatenate([getattr(log, name) for log in logs])
+        for name in ("time", "segment", "innovation", "innovation_cov")
+    }
+    more = {name: np.concatenate([log.more[name] for log in logs]) for name in logs[0].more}
+    about = {"from": "raw measurements", "lines": measured.lines}
+    log = replace(logs[0], **joined, more=more, channels=measured.satellites, about=about)
+    return RawLog(log, tuple(solutions), tuple(measured.lines))
+
+
+class Measured:
+    """Observations without what is not the receiver's, satellites, and a fix of every epoch.
+
+    - `time` (K,) GPS seconds; `pseudorange`, `range_rate` (K, n); `position`, `velocity` (K, n, 3)
+      of the satellites; `sd` (K, 2n);
+    - `fixes` (K, 8) ECEF position and velocity, clock and its drift [m], [m/s]; NaN without;
+    - `satellites` (n,); `lines` about what was done.
+    """
+
+    def __init__(self, observations: Observations, ephemerides: Ephemerides) -> None:
+        o = observations
+        self.time, self.segment, self.lines = o.time, o.segment, _describe(o)
+        place = [_place_satellite(o, j, ephemerides) for j in range(len(o.satellites))]
+        used = [j for j, each in enumerate(place) if np.isfinite(each).any()]
+        if missing := [x for j, x in enumerate(o.satellites) if j not in used]:
+            self.lines.append(f"without a healthy record of their orbit: {' '.join(missing)}")
+        require(used, f"no satellite has a healthy record within {VALIDITY / 3600.0:g} h")
+        self.satellites = tuple(o.satellites[j] for j in used)
+        placed = np.stack([place[j] for j in used], axis=1)
+        self.position, self.velocity = placed[..., :3], placed[..., 3:6]
+        self.pseudorange = o.pseudorange[:, used] + SPEED_OF_LIGHT * placed[..., 6]
+        self.range_rate = o.range_rate[:, used] + SPEED_OF_LIGHT * placed[..., 7]
+        self.sd = o.sd[:, [*used, *(len(o.satellites) + np.array(used))]]
+        self._remove_clock_steps()
+        self.fixes = self._fix_epochs(np.ones(len(used), dtype=bool))
+        self._remove_odd()
+        self._remove_troposphere()
+        self._remove_system_offsets()
+        self.fixes = self._fix_epochs(np.ones(len(used), dtype=bool))
+        self._describe_fixes()
+
+    def _remove_clock_steps(self) -> None:
+        """Ranges without the steps of whole milliseconds by which a receiver puts its clock right:
+        what all of them change by beyond their rates."""
+        rate, step = self.range_rate, np.diff(self.time)[:, None]
+        change = np.diff(self.pseudorange, axis=0) - 0.5 * (rate[1:] + rate[:-1]) * step
+        common = np.zeros(len(change))
+        some = np.isfinite(change).any(axis=1) & (np.diff(self.segment) == 0)
+        common[some] = np.nanmedian(change[some], axis=1)
+        count = np.round(common / CLOCK_STEP)
+        self.pseudorange[1:] -= CLOCK_STEP * np.cumsum(count)[:, None]
+        if (steps := np.count_nonzero(count)) > 0:
+            self.lines.append(f"{steps} steps of the receiver's clock by whole ms are taken out")
+
+    def _fix_epochs(self, use: NDArray[np.bool_]) -> Floats:
+        fixes, guess = np.full((len(self.time), 8), np.nan), np.zeros(3)
+        arrays = self.pseudorange, self.range_rate, self.position, self.velocity
+        for k, each in enumerate(zip(*(x[:, use] for x in arrays), strict=True)):
+            try:
+                fix = least_squares_fix(*each, guess_e=guess)
+            except ValueError:  # too few satellites, or a singular geometry
+                continue
+            guess, clock = fix.position_e, (fix.clock_bias_m, fix.clock_drift_mps)
+            fixes[k] = *fix.position_e, *fix.velocity_e, *clock
+        return fixes
+
+    def _residuals(self, fixes: Floats) -> tuple[Floats, Floats]:
+        """(K, n) of the pseudoranges [m], and (K, n, 3) lines of sight."""
+        r, s = fixes[:, None, :3], self.position
+        distance = np.linalg.norm(s - r, axis=-1)
+        sagnac = EARTH_RATE / SPEED_OF_LIGHT * (s[..., 0] * r[..., 1] - s[..., 1] * r[..., 0])
+        left = self.pseudorange - distance - sagnac - fixes[:, 6, None]
+        return left, (s - r) / distance[..., None]
+
+    def _spread(self, fixes: Floats, use: NDArray[np.bool_]) -> float:
+        left = self._residuals(fixes)[0][:, use]
+        many = np.isfinite(left).sum(axis=1) > STATES
+        return float(np.sqrt(np.nanmedian(left[many] ** 2))) if many.any() else 0.0
+
+    def _remove_odd(self) -> None:
+        """Drop satellites without which the ranges of the others agree."""
+        use = np.ones(len(self.satellites), dtype=bool)
+        while (now := self._spread(self.fixes, use)) > ODD_M:
+            trials = []
+            for j in np.flatnonzero(use):
+                without = use & (np.arange(len(use)) != j)
+                fixes = self._fix_epochs(without)
+                trials.append((self._spread(fixes, without) or now, int(j), fixes))
+            best, j, fixes = min(trials, key=lambda each: each[:2])
+            if best > now / ODD_RATIO:
+                break
+            use[j], self.fixes = False, fixes
+            off = self._residuals(fixes)[0][:, j]
+            self.lines.append(
+                f"{self.satellites[j]} is left out: its pseudoranges are off by "
+                f"{np.nanmedian(off):.6g} m (median of {np.isfinite(off).sum()} epochs) from what "
+                "the others agree on"
+            )
+            self.pseudorange[:, j] = np.nan
+
+    def _remove_troposphere(self) -> None:
+        """Ranges without the delay of a standard atmosphere, and without low satellites."""
+        fixed = np.isfinite(self.fixes[:, 0])
+        latitude, longitude, height = ecef_to_geodetic(self.fixes[fixed, :3])
+        C_en = dcm_e_from_n(latitude, longitude)
+        elevation, _ = look_angles(self.position[fixed], self.fixes[fixed, :3], C_en)
+        low = np.zeros(self.pseudorange.shape, dtype=bool)
+        with np.errstate(invalid="ignore"):
+            low[fixed] = elevation < np.radians(MASK_DEG)
+        low &= np.isfinite(self.pseudorange)
+        delay = saastamoinen(elevation, latitude[:, None], height[:, None])
+        self.pseudorange[fixed] -= delay
+        self.pseudorange[low] = np.nan
+        if low.any():
+            self.lines.append(f"{low.sum()} observations are below {MASK_DEG:g} deg")
+
+    def _remove_system_offsets(self) -> None:
+        """Ranges without what the clock of each further system is off by, a constant: the least
+        squares of all epochs, each with a position and a clock of its own."""
+        self.fixes = self._fix_epochs(np.ones(len(self.satellites), dtype=bool))
+        names = sorted({x[0] for x in self.satellites}, key="GEC".index)
+        if len(names) < 2:
+            return
+        left, sight = self._residuals(self.fixes)
+        there = np.isfinite(left)
+        G = np.concatenate([-sight, np.ones((*left.shape, 1))], axis=2)
+        G = np.where(there[..., None], G, 0.0)
+        own = np.array([[x[0] == name for name in names[1:]] for x in self.satellites], dtype=float)
+        H = np.where(there[..., None], own, 0.0)
+        projected = H - G @ (np.linalg.pinv(G) @ H)
+        normal = np.einsum("kni,knj->ij", projected, H)
+        right = np.einsum("kni,kn->i", projected, np.where(there, left, 0.0))
+        offsets = np.linalg.lstsq(normal, right, rcond=None)[0]
+        self.pseudorange -= own @ offsets
+        for name, value in zip(names[1:], offsets, strict=True):
+            self.lines.append(f"the clock of system {name} is {value:.2f} m off that of {names[0]}")
+
+    def _describe_fixes(self) -> None:
+        fixed = np.isfinite(self.fixes[:, 0])
+        require(fixed.any(), f"no epoch has the {STATES} satellites of a fix")
+        drift = float(np.median(self.fixes[fixed, 7]))
+        unusual = abs(drift) > OSCILLATOR * SPEED_OF_LIGHT
+        spread = self._spread(self.fixes, np.ones(len(self.satellites), dtype=bool))
+        self.lines += [
+            f"fixes at {fixed.sum()} of {len(fixed)} epochs; median residual {spread:.3g} m",
+            f"the receiver's clock drifts by {drift:.6g} m/s, {1e6 * drift / SPEED_OF_LIGHT:.3g} "
+            f"ppm{': more than a receiver, is it a transmitter?' * unusual}",
+            "the ionosphere is not corrected",
+        ]
+
+
+def _describe(o: Observations) -> list[str]:
+    start = GPS_EPOCH + np.timedelta64(round(o.time[0]), "s").astype(object)
+    lines = [
+        f"{len(o.time)} epochs from {start} GPS time, in {o.segment[-1] + 1} runs of rising time; "
+        f"{len(o.satellites)} satellites: {' '.join(o.satellites)}"
+    ]
+    if o.left_out:
+        lines.append("left out: " + ", ".join(f"{n} {what}" for what, n in o.left_out.items()))
+    return lines
+
+
+def _place_satellite(o: Observations, j: int, ephemerides: Ephemerides) -> Floats:
+    """(K, 8) position, velocity, clock and its drift of a satellite when its signal leaves it;
+    NaN where it has no healthy record near enough [m], [m/s], [s], [s/s]."""
+    e, placed = ephemerides, np.full((len(o.time), 8), np.nan)
+    records = np.flatnonzero(e.healthy & (e.satellite_id == o.satellites[j]))
+    rows = np.flatnonzero(np.isfinite(o.pseudorange[:, j]))
+    if not (records.size and rows.size):
+        return placed
+    time = o.time[rows] - o.pseudorange[rows, j] / SPEED_OF_LIGHT
+    ages = np.abs(time[:, None] - e.time_of_ephemeris[records])
+    record = records[ages.argmin(axis=1)]
+    near = ages.min(axis=1) <= VALIDITY
+    rows, time, record = rows[near], time[near], record[near]
+
+    def clock(at: Floats) -> Floats:
+        t = at - e.time_of_clock[record]
+        return e.clock_bias[record] + (e.clock_drift[record] + e.clock_drift_rate[record] * t) * t
+
+    left = time - clock(time)
+    states = propagate_orbits(e, record, left - e.time_of_ephemeris[record])
+    position, velocity = states.position_e, states.velocity_e
+    relativity = -2.0 * (position * velocity).sum(axis=-1) / SPEED_OF_LIGHT**2
+    delay = o.signal(j).delays * e.group_delay[record]
+    drift = e.clock_drift[record] + 2.0 * e.clock_drift_rate[record] * (
+        left - e.time_of_clock[record]
+    )
+    offsets = np.column_stack([clock(left) + relativity - delay, drift])
+    placed[rows] = np.hstack([position, velocity, offsets])
+    return placed
+
+
+def saastamoinen(elevation: Floats, latitude: Floats, height: Floats) -> Floats:
+    r"""Delay by a standard atmosphere of half its humidity [m].
+
+    .. math:: \frac{0.0022768\, p}{\cos z\,(1 - 0.00266 \cos 2\varphi - 0.00028\, h)} +
+        \frac{0.002277}{\cos z}\left(\frac{1255}{T} + 0.05\right) e
+
+    `elevation` and `latitude` [rad]; `height` [m], used from sea level to 10 km, `h` in km.
+    Saastamoinen (1972), "Atmospheric correction for the troposphere and stratosphere in radio
+    ranging satellites"; the atmosphere is that of RTKLIB, manual E.5.
+    """
+    h = np.clip(height, 0.0, 10_000.0)
+    pressure = 1013.25 * (1.0 - 2.2557e-5 * h) ** 5.2568
+    kelvin = 288.15 - 6.5e-3 * h
+    vapour = 0.5 * 6.108 * np.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
+    dry = 0.0022768 * pressure / (1.0 - 0.00266 * np.cos(2.0 * latitude) - 2.8e-7 * h)
+    wet = 0.002277 * (1255.0 / kelvin + 0.05) * vapour
+    return np.asarray((dry + wet) / np.sin(np.maximum(elevation, np.radians(1.0))))
+
+
+def _rest(measured: Measured) -> InertialSamples:
+    """Samples of a perfect sensor at rest, its axes north, east and down."""
+    steps = np.arange(measured.time.min() - 1.0, measured.time.max() + 1.0, STATIC_STEP_S)
+    place = np.nanmedian(measured.fixes[:, :3], axis=0)
+    latitude, longitude, _ = ecef_to_geodetic(place)
+    C_en = dcm_e_from_n(latitude, longitude)
+    force = -np.array(gravity(*place)) @ C_en
+    rate = np.array([0.0, 0.0, EARTH_RATE]) @ C_en
+    return InertialSamples(steps, *(np.tile(x, (len(steps), 1)) for x in (force, rate)), 0)
+
+
+def _cut_pieces(measured: Measured, samples: InertialSamples) -> list[NDArray[np.intp]]:
+    """Epochs that one replay runs through: between jumps of time, and gaps of either."""
+    ends = samples.time
+    lengths = np.diff(ends, prepend=-np.inf)
+    during = np.clip(np.searchsorted(ends, measured.time), 0, len(ends) - 1)
+    covered = (measured.time <= ends[-1]) & (lengths[during] <= LONGEST_SAMPLE_S)
+    rows = np.flatnonzero(covered)
+    require(
+        rows.size,
+        f"no epoch is at a time of an inertial sample: these are of {ends[0]:.3f} to "
+        f"{ends[-1]:.3f} s GPS time, those of {measured.time[0]:.3f} to {measured.time[-1]:.3f} s; "
+        "is `time.scale` right?",
+    )
+    apart = np.diff(measured.segment[rows]) != 0
+    apart |= np.diff(np.cumsum(lengths > LONGEST_SAMPLE_S)[during[rows]]) != 0
+    apart |= np.diff(measured.time[rows]) > LONGEST_GAP_S
+    return np.split(rows, np.flatnonzero(apart) + 1)
+
+
+def _find_start(
+    measured: Measured, samples: InertialSamples, rows: NDArray[np.intp], still: bool
+) -> tuple[int, NavState]:
+    """First epoch with a fix whose velocity is a heading, and the state there."""
+    fixed = rows[np.isfinite(measured.fixes[rows, 0])]
+    for row in fixed:
+        now, around = (
+            measured.time[row],
+            fixed[abs(measured.time[fixed] - measured.time[row]) <= LEVELLING_S],
+        )
+        if len(around) < 2 or len(rows) - np.searchsorted(rows, row) < FEWEST:
+            continue
+        fix = measured.fixes[row]
+        change, velocity = np.polyfit(measured.time[around] - now, measured.fixes[around, 3:6], 1)
+        latitude, longitude, _ = ecef_to_geodetic(fix[:3])
+        C_en = dcm_e_from_n(latitude, longitude)
+        if not still and np.hypot(*(velocity @ C_en)[:2]) < MOVING_MPS:
+            continue
+        felt = samples.specific_force_b[abs(samples.time - now) <= LEVELLING_S].mean(axis=0)
+        force, ahead = change - gravity(*fix[:3]), velocity
+        if still:
+            force, ahead = -np.array(gravity(*fix[:3])), C_en[:, 0]
+        C_eb = _axes(force, ahead) @ _axes(felt, np.array([1.0, 0.0, 0.0])).T
+        return int(row), NavState(
+            position_e=fix[:3],
+            velocity_e=np.zeros(3) if still else velocity,
+            C_eb=C_eb,
+            clock_bias_m=fix[6],
+            clock_drift_mps=fix[7],
+        )
+    raise ValueError(
+        f"before its last {FEWEST} epochs there is no fix"
+        + f" with {MOVING_MPS:g} m/s, from which a heading follows" * (not still)
+    )
+
+
+def _axes(first: Floats, second: Floats) -> Floats:
+    """(3, 3) axes as columns: along `first`, and `second` in the plane of the first two."""
+    x, z = first, np.cross(first, second)
+    axes = np.stack([x, np.cross(z, x), z], axis=1)
+    return np.asarray(axes / np.linalg.norm(axes, axis=0))
+
+
+def _make_recording(
+    measured: Measured, samples: InertialSamples, start: float, rows: NDArray[np.intp]
+) -> Recording:
+    """Epochs after the start, with samples that are split at them."""
+    epochs = np.round(measured.time[rows] - start, 6)
+    ends = np.round(samples.time - start, 6)
+    imu_time = np.union1d(ends[(ends > 0.0) & (ends <= epochs[-1])], epochs)
+    during = np.searchsorted(ends, imu_time)
+    return Recording(
+        imu_time=imu_time,
+        specific_force_b=samples.specific_force_b[during],
+        angular_rate_b=samples.angular_rate_b[during],
+        gnss_time=epochs,
+        pseudorange=measured.pseudorange[rows],
+        range_rate=measured.range_rate[rows],
+        satellite_position_e=measured.position[rows],
+        satellite_velocity_e=measured.velocity[rows],
+    )
+
+
+def _variances(sd: Floats, factors: tuple[float, float]) -> Floats:
+    """(K, 2n) of the measurements, those of `NoiseModel` where the receiver says nothing."""
+    model, n = NoiseModel(), sd.shape[1] // 2
+    usual = np.repeat([model.pseudorange_sd, model.range_rate_sd], n)
+    believed = np.where(np.isfinite(sd) & (sd > 0.0), sd, usual)
+    return np.asarray((believed * np.repeat(factors, n)) ** 2)
