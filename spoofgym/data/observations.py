@@ -43,15 +43,16 @@ SIGNALS = {
     "E": {name: Signal(1575.42e6) for name in ("1C", "1X", "1B", "1")},
     "C": {
         **{name: Signal(1561.098e6) for name in ("2I", "1I", "2X")},
+        **{name: Signal(1575.42e6) for name in ("1P", "1D", "1X")},
         **{name: Signal(1268.52e6, 0.0) for name in ("6I", "6X")},
     },
 }
-"""Signals by system and the code of RINEX behind C or D, the preferred first. Delays of GPS are
-those of L1 (IS-GPS-200, 20.3.3.3.3.2), of Galileo those of E1; clocks of BeiDou are those of B3."""
+"""Signals by system and the code of RINEX behind C or D, the preferred first. Clocks
+of BeiDou are those of B3; the delay of B1I is taken for B1C, whose own is in newer messages."""
 UBLOX_SYSTEMS = {0: "G", 2: "E", 3: "C"}
 UBLOX_SIGNALS = {
     **{("G", 0): "1C", ("E", 0): "1C", ("E", 1): "1B"},
-    **{("C", 0): "2I", ("C", 1): "2I", ("C", 4): "6I", ("C", 10): "6I"},
+    **{("C", 0): "2I", ("C", 1): "2I", ("C", 5): "1P", ("C", 6): "1D", ("C", 4): "6I"},
 }
 """u-blox's numbers of systems and signals (interface description, sections on GNSS identifiers)."""
 TABLE = ("week", "tow_s", "gnss_id", "sv_id", "sig_id", "pr_m", "doppler_hz")
@@ -248,7 +249,7 @@ def _parse_epoch_3(
     require(line[:1] == ">", "it must begin with >")
     flag, count = line[31:32], int(line[32:35])
     after = k + 1 + count
-    require(flag in set("0123456") and 0 <= count and after <= len(lines), "it is cut short")
+    require(flag in set("0123456") and count >= 0 and after <= len(lines), "it is cut short")
     if flag not in "01":
         return flag, 0.0, after, []
     date = [line[a:b] for a, b in ((2, 6), (7, 9), (10, 12), (13, 15), (16, 18), (18, 29))]

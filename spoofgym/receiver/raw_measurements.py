@@ -29,7 +29,7 @@ from ..earth.wgs84 import (
 )
 from .epoch import FILTER
 from .log import MOST_ELEMENTS, InnovationLog
-from .plausibility import CLOCK_STEP, ImplausibleWarning
+from .plausibility import CLOCK_STEP, RANGE_SPREAD, ImplausibleWarning
 from .recording import LONGEST_SAMPLE_S, Recording
 from .replay import Solution, replay
 from .snapshot import least_squares_fix
@@ -143,6 +143,7 @@ class Measured:
         self.sd = o.sd[:, [*used, *(len(o.satellites) + np.array(used))]]
         self._remove_clock_steps()
         self.fixes = self._fix_epochs(np.ones(len(used), dtype=bool))
+        self._remove_wild()
         self._remove_odd()
         self._remove_troposphere()
         self._remove_system_offsets()
@@ -186,6 +187,22 @@ class Measured:
         left = self._residuals(fixes)[0][:, use]
         many = np.isfinite(left).sum(axis=1) > STATES
         return float(np.sqrt(np.nanmedian(left[many] ** 2))) if many.any() else 0.0
+
+    def _remove_wild(self) -> None:
+        """Drop single ranges that no movement of the receiver explains."""
+        place = np.nanmedian(self.fixes, axis=0)
+        require(np.isfinite(place).all(), f"no epoch has the {STATES} satellites of a fix")
+        left = self._residuals(np.broadcast_to(place, self.fixes.shape))[0]
+        some = np.isfinite(left).any(axis=1)
+        left[some] -= np.nanmedian(left[some], axis=1, keepdims=True)
+        with np.errstate(invalid="ignore"):
+            wild = np.abs(left) > RANGE_SPREAD
+        if wild.any():
+            self.pseudorange[wild] = np.nan
+            self.fixes = self._fix_epochs(np.ones(len(self.satellites), dtype=bool))
+            self.lines.append(
+                f"{wild.sum()} pseudoranges are left out: they are off by {RANGE_SPREAD:g} m or more"
+            )
 
     def _remove_odd(self) -> None:
         """Drop satellites without which the ranges of the others agree."""
@@ -247,7 +264,6 @@ class Measured:
 
     def _describe_fixes(self) -> None:
         fixed = np.isfinite(self.fixes[:, 0])
-        require(fixed.any(), f"no epoch has the {STATES} satellites of a fix")
         drift = float(np.median(self.fixes[fixed, 7]))
         unusual = abs(drift) > OSCILLATOR * SPEED_OF_LIGHT
         spread = self._spread(self.fixes, np.ones(len(self.satellites), dtype=bool))
