@@ -37,7 +37,7 @@ from .tight import NavState, NoiseModel, TightlyCoupled
 
 Floats = NDArray[np.float64]
 ODD_M, ODD_RATIO = 500.0, 5.0
-"""Residuals of fixes that one satellite must explain, and how much smaller they are without it."""
+"""Residuals of fixes that are not noise, and by which factor they shrink without an odd satellite."""
 MOVING_MPS = 1.0  # horizontal speed whose direction is a heading
 LEVELLING_S = 1.0  # time before and after the start from which the first attitude follows
 FEWEST = 20  # epochs of a piece
@@ -205,7 +205,8 @@ class Measured:
             )
 
     def _remove_odd(self) -> None:
-        """Drop satellites without which the ranges of the others agree."""
+        """Drop satellites without which the ranges of the others agree, and epochs of which they
+        still do not."""
         use = np.ones(len(self.satellites), dtype=bool)
         while (now := self._spread(self.fixes, use)) > ODD_M:
             trials = []
@@ -224,6 +225,15 @@ class Measured:
                 "the others agree on"
             )
             self.pseudorange[:, j] = np.nan
+        with np.errstate(invalid="ignore"):
+            apart = (np.abs(self._residuals(self.fixes)[0]) > ODD_M).any(axis=1)
+        apart |= ~np.isfinite(self.fixes[:, 0])
+        if apart.any():
+            self.pseudorange[apart], self.fixes[apart] = np.nan, np.nan
+            self.lines.append(
+                f"{apart.sum()} epochs are left out: their ranges give no fix, or disagree by over "
+                f"{ODD_M:g} m"
+            )
 
     def _remove_troposphere(self) -> None:
         """Ranges without the delay of a standard atmosphere, and without low satellites."""
