@@ -111,10 +111,39 @@ def judge_(
 @group.command("import")
 @clear_errors
 def import_log(
-    log: File,
+    files: Annotated[
+        list[Path],
+        Argument(
+            help="A table (.csv, .parquet) or matrices (.npz); or raw measurements: observations "
+            "(RINEX 2 or 3, or a table of RXM-RAWX), navigation files (RINEX), and a table of "
+            "inertial samples."
+        ),
+    ],
     out: Annotated[Path, Option("--out", "-o", help="File to write, .npz or .csv.")],
+    mapping: Annotated[
+        Path | None,
+        Option(help="TOML file that says what the columns of the inertial samples are."),
+    ] = None,
+    static: Annotated[
+        bool, Option("--static", help="The receiver was at rest; no inertial samples.")
+    ] = False,
+    grade: Annotated[str, Option(help="Grade of the inertial sensors.")] = "consumer",
+    noise_factors: Annotated[
+        tuple[float, float],
+        Option(
+            help="Factors on the standard deviations of pseudoranges and range rates, those of the "
+            "receiver itself or 2.5 m and 0.1 m/s."
+        ),
+    ] = (1.0, 1.0),
 ) -> None:
-    """Write a log in the other form: a table as matrices, or matrices as a table."""
+    """Write a log in the other form, or that of a filter run over raw measurements."""
     from ..receiver.log import InnovationLog
 
-    print_written([InnovationLog.load(log).save(out)])
+    if len(files) == 1:
+        print_written([InnovationLog.load(files[0]).save(out)])
+        return
+    from ..receiver.raw_measurements import read_raw_log
+
+    found = read_raw_log(files, mapping, static=static, grade=grade, noise_factors=noise_factors)
+    print_lines(found.about["lines"])
+    print_written([found.save(out)])

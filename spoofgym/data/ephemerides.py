@@ -3,8 +3,8 @@
 Orbits follow IS-GPS-200, "NAVSTAR GPS Space Segment/Navigation User Interfaces", table 20-IV;
 velocities are their exact derivatives (Thompson et al. 2019, "Computing GPS satellite velocity and
 acceleration from the broadcast navigation message", NAVIGATION 66(4)).  Galileo (OS SIS ICD) and
-BeiDou (B1I ICD; but for its geostationary satellites) differ by constants alone.  All times are GPS seconds:
-seconds since 1980-01-06 00:00 in the GPS time scale, counted through every week.
+BeiDou (B1I ICD; but for its geostationary satellites) differ by constants alone.  All times are GPS
+seconds: seconds since 1980-01-06 00:00 in the GPS time scale, counted through every week.
 
 A navigation file holds what receivers around the world have heard, now and then wrongly: `screen`
 drops copies, and records that their neighbours in time, which describe the same orbit, contradict.

@@ -9,16 +9,23 @@ and with the heading of its velocity.  The ionosphere stays in.
 
 from __future__ import annotations
 
+import os
 import warnings
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.registry import require
-from ..data.ephemerides import GPS_EPOCH, VALIDITY, Ephemerides, propagate_orbits
-from ..data.inertial import InertialSamples
-from ..data.observations import Observations
+from ..data.ephemerides import GPS_EPOCH, VALIDITY, Ephemerides, join_ephemerides, propagate_orbits
+from ..data.inertial import InertialSamples, read_inertial
+from ..data.observations import SIGNALS, Observations, is_table, read_observations
+from ..data.rinex import read_navigation
 from ..earth.wgs84 import (
     EARTH_RATE,
     SPEED_OF_LIGHT,
@@ -29,7 +36,7 @@ from ..earth.wgs84 import (
 )
 from .epoch import FILTER
 from .log import MOST_ELEMENTS, InnovationLog
-from .plausibility import CLOCK_STEP, RANGE_SPREAD, ImplausibleWarning
+from .plausibility import CLOCK_STEP, ImplausibleWarning
 from .recording import LONGEST_SAMPLE_S, Recording
 from .replay import Solution, replay
 from .snapshot import least_squares_fix
@@ -37,7 +44,7 @@ from .tight import NavState, NoiseModel, TightlyCoupled
 
 Floats = NDArray[np.float64]
 ODD_M, ODD_RATIO = 500.0, 5.0
-"""Residuals of fixes that are not noise, and by which factor they shrink without an odd satellite."""
+"""Residuals of fixes that are no noise, and how much they shrink without an odd satellite."""
 MOVING_MPS = 1.0  # horizontal speed whose direction is a heading
 LEVELLING_S = 1.0  # time before and after the start from which the first attitude follows
 FEWEST = 20  # epochs of a piece
@@ -45,21 +52,35 @@ LONGEST_GAP_S = 10.0  # between epochs of a piece
 MASK_DEG = 10.0
 OSCILLATOR = 3e-6  # drift of a receiver's clock beyond which it is unusual [s/s]
 STATIC_STEP_S = 0.25
-STATES = 4  # position and clock of a fix
+Solutions = list[tuple[float, Solution]]
+"""GPS seconds at time zero of each piece, and what its replay estimated."""
 
 
-@dataclass(frozen=True)
-class RawLog:
-    """Innovations of raw measurements, and how they came about.
-
-    - `log`: innovations of all pieces, times since the first epoch [s];
-    - `solutions`: GPS seconds at time zero of each piece, and what its replay estimated;
-    - `lines`: what was found, corrected and left out.
-    """
-
-    log: InnovationLog
-    solutions: tuple[tuple[float, Solution], ...]
-    lines: tuple[str, ...]
+def read_raw_log(
+    files: Sequence[str | os.PathLike[str]],
+    mapping: str | os.PathLike[str] | None = None,
+    *,
+    static: bool = False,
+    **settings: Any,
+) -> InnovationLog:
+    """Innovations from files: observations, navigation files, and a table of inertial samples,
+    whose columns `mapping` describes; without these the receiver must be `static`. `settings` are
+    those of `solve_raw`."""
+    first, *others = map(Path, files)
+    tables = [path for path in others if is_table(path)]
+    orbits = [path for path in others if path not in tables]
+    require(orbits, "orbits are missing: give a RINEX navigation file after the observations")
+    require(
+        (len(tables), mapping is not None, static) in ((1, True, False), (0, False, True)),
+        "give one table of inertial samples and a TOML file that says what its columns are "
+        "(--mapping), or say that the receiver was at rest (--static)",
+    )
+    observations = read_observations(first)
+    samples = None
+    if mapping is not None:
+        samples = read_inertial(tables[0], mapping, float(observations.time[0]))
+    ephemerides = join_ephemerides([read_navigation(path, "".join(SIGNALS)) for path in orbits])
+    return solve_raw(observations, ephemerides, samples, **settings)[0]
 
 
 def solve_raw(
@@ -69,86 +90,96 @@ def solve_raw(
     *,
     grade: str = "consumer",
     noise_factors: tuple[float, float] = (1.0, 1.0),
-) -> RawLog:
+) -> tuple[InnovationLog, Solutions]:
     """Replay raw measurements, with inertial samples or, where they are None, at rest.
 
     `grade`: of the inertial sensors, see `TightlyCoupled`; `noise_factors` on the standard
     deviations of pseudoranges and range rates, which are those of the receiver itself, or those of
-    `NoiseModel` where it says nothing.
+    `NoiseModel` where it says nothing. Times of the log are those since the first epoch [s]; its
+    `about` has ``lines``: what was found, corrected and left out.
     """
     require(min(noise_factors) > 0.0, f"`noise_factors` must be positive, got {noise_factors}")
-    measured, still = Measured(observations, ephemerides), samples is None
+    measured, still = _Measured(observations, ephemerides), samples is None
+    size = len(measured.time) * (2 * len(measured.satellites)) ** 2
+    require(size <= MOST_ELEMENTS, f"covariances would have {size:,} elements: cut it into parts")
     if samples is None:
         samples, grade = _rest(measured), "aviation"
-    elif samples.dropped:
-        measured.lines.append(f"{samples.dropped} inertial samples are not finite or late")
-    receiver, solutions, logs = TightlyCoupled(grade=grade), [], []
-    size = len(observations.time) * (2 * len(measured.satellites)) ** 2
-    require(size <= MOST_ELEMENTS, f"covariances would have {size:,} elements: cut it into parts")
-    for number, rows in enumerate(_cut_pieces(measured, samples)):
+    receiver, lines = TightlyCoupled(grade=grade), measured.lines
+    logs, solutions = list[InnovationLog](), Solutions()
+    for number, rows in enumerate(_cut_pieces(measured, samples), 1):
         try:
             row, initial = _find_start(measured, samples, rows, still)
         except ValueError as error:
-            measured.lines.append(f"piece {number + 1} of {len(rows)} epochs is left out: {error}")
+            lines.append(f"piece {number}, {len(rows)} epochs, is left out: {error}")
             continue
-        rows = rows[rows > row]
-        recording = _make_recording(measured, samples, measured.time[row], rows)
-        variance = _variances(measured.sd[rows], noise_factors)
+        start, rows = float(measured.time[row]), rows[rows > row]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ImplausibleWarning)  # it is the remark
             solution = replay(
-                recording, receiver, initial=initial, noise_variance=variance, fields=FILTER
+                _make_recording(measured, samples, start, rows),
+                receiver,
+                initial=initial,
+                noise_variance=_list_variances(measured.sd[rows], noise_factors),
+                fields=FILTER,
             )
-        start = float(measured.time[row])
-        after = start - observations.time[0]
-        measured.lines.append(f"piece {number + 1} starts after {after:.2f} s: {len(rows)} epochs")
-        measured.lines += [solution.remark] if solution.remark else []
+        after = start - float(measured.time[0])
+        lines.append(f"piece {number} starts at {after:.2f} s: {len(rows)} epochs")
+        lines += filter(None, [solution.remark])
         solutions.append((start, solution))
         log = InnovationLog.from_replay(solution)
         logs.append(replace(log, time=log.time + after, segment=log.segment + number))
-    if not logs:
-        raise ValueError("; ".join(["nothing can be replayed", *measured.lines]))
-    joined = {
-        name: np.concatenate([getattr(log, name) for log in logs])
-        for name in ("time", "segment", "innovation", "innovation_cov")
-    }
-    more = {name: np.concatenate([log.more[name] for log in logs]) for name in logs[0].more}
-    about = {"from": "raw measurements", "lines": measured.lines}
-    log = replace(logs[0], **joined, more=more, channels=measured.satellites, about=about)
-    return RawLog(log, tuple(solutions), tuple(measured.lines))
+    require(logs, "; ".join(["nothing can be replayed", *lines]))
+    fields = ("time", "segment", "innovation", "innovation_cov")
+    joined: dict[str, Any] = {x: np.concatenate([getattr(log, x) for log in logs]) for x in fields}
+    joined["more"] = {x: np.concatenate([log.more[x] for log in logs]) for x in logs[0].more}
+    joined["about"] = {"from": "raw measurements", "lines": lines}
+    return replace(logs[0], **joined, channels=measured.satellites), solutions
 
 
-class Measured:
+class _Measured:
     """Observations without what is not the receiver's, satellites, and a fix of every epoch.
 
     - `time` (K,) GPS seconds; `pseudorange`, `range_rate` (K, n); `position`, `velocity` (K, n, 3)
-      of the satellites; `sd` (K, 2n);
+      of the `satellites` (n,); `sd` (K, 2n);
     - `fixes` (K, 8) ECEF position and velocity, clock and its drift [m], [m/s]; NaN without;
-    - `satellites` (n,); `lines` about what was done.
+    - `lines` about what was done.
     """
 
-    def __init__(self, observations: Observations, ephemerides: Ephemerides) -> None:
-        o = observations
-        self.time, self.segment, self.lines = o.time, o.segment, _describe(o)
-        place = [_place_satellite(o, j, ephemerides) for j in range(len(o.satellites))]
-        used = [j for j, each in enumerate(place) if np.isfinite(each).any()]
-        if missing := [x for j, x in enumerate(o.satellites) if j not in used]:
-            self.lines.append(f"without a healthy record of their orbit: {' '.join(missing)}")
-        require(used, f"no satellite has a healthy record within {VALIDITY / 3600.0:g} h")
+    def __init__(self, o: Observations, ephemerides: Ephemerides) -> None:
+        begin = GPS_EPOCH + timedelta(seconds=round(o.time[0]))
+        runs = int(o.segment[-1] - o.segment[0]) + 1
+        self.lines = [
+            f"{len(o.time)} epochs from {begin} GPS time on, in {runs} runs of rising time; "
+            f"{len(o.satellites)} satellites: {' '.join(o.satellites)}",
+            *(f"left out: {count} {what}" for what, count in o.left_out.items() if count),
+        ]
+        n = len(o.satellites)
+        placed = np.stack([_place_satellite(o, j, ephemerides) for j in range(n)], axis=1)
+        found = np.isfinite(placed).any(axis=(0, 2))
+        used, unused = np.flatnonzero(found), np.flatnonzero(~found)
+        if unused.size:
+            missing = " ".join(o.satellites[j] for j in unused)
+            self.lines.append(f"left out without a healthy record of the orbit: {missing}")
+        self.time, self.segment = o.time, o.segment
         self.satellites = tuple(o.satellites[j] for j in used)
-        placed = np.stack([place[j] for j in used], axis=1)
+        placed = placed[:, used]
         self.position, self.velocity = placed[..., :3], placed[..., 3:6]
         self.pseudorange = o.pseudorange[:, used] + SPEED_OF_LIGHT * placed[..., 6]
         self.range_rate = o.range_rate[:, used] + SPEED_OF_LIGHT * placed[..., 7]
-        self.sd = o.sd[:, [*used, *(len(o.satellites) + np.array(used))]]
+        self.sd = o.sd[:, [*used, *(n + used)]]
         self._remove_clock_steps()
-        self.fixes = self._fix_epochs(np.ones(len(used), dtype=bool))
-        self._remove_wild()
         self._remove_odd()
         self._remove_troposphere()
         self._remove_system_offsets()
-        self.fixes = self._fix_epochs(np.ones(len(used), dtype=bool))
-        self._describe_fixes()
+        self.fixes = self._fix_epochs()
+        drift = float(np.nanmedian(self.fixes[:, 7]))
+        unusual = abs(drift) > OSCILLATOR * SPEED_OF_LIGHT
+        self.lines += [
+            f"fixes of {np.isfinite(self.fixes[:, 0]).sum()} epochs, median residual "
+            f"{self._spread(self.fixes):.3g} m; the ionosphere is not corrected",
+            f"the receiver's clock drifts by {drift:.6g} m/s, {1e6 * drift / SPEED_OF_LIGHT:.3g} "
+            f"ppm{': more than that of a receiver, is it a transmitter?' * unusual}",
+        ]
 
     def _remove_clock_steps(self) -> None:
         """Ranges without the steps of whole milliseconds by which a receiver puts its clock right:
@@ -163,19 +194,18 @@ class Measured:
         if (steps := np.count_nonzero(count)) > 0:
             self.lines.append(f"{steps} steps of the receiver's clock by whole ms are taken out")
 
-    def _fix_epochs(self, use: NDArray[np.bool_]) -> Floats:
+    def _fix_epochs(self, without: int = -1) -> Floats:
+        use = np.arange(len(self.satellites)) != without
         fixes, guess = np.full((len(self.time), 8), np.nan), np.zeros(3)
         arrays = self.pseudorange, self.range_rate, self.position, self.velocity
         for k, each in enumerate(zip(*(x[:, use] for x in arrays), strict=True)):
-            try:
+            with suppress(ValueError):  # too few satellites, or a singular geometry
                 fix = least_squares_fix(*each, guess_e=guess)
-            except ValueError:  # too few satellites, or a singular geometry
-                continue
-            guess, clock = fix.position_e, (fix.clock_bias_m, fix.clock_drift_mps)
-            fixes[k] = *fix.position_e, *fix.velocity_e, *clock
+                guess, clock = fix.position_e, (fix.clock_bias_m, fix.clock_drift_mps)
+                fixes[k] = *fix.position_e, *fix.velocity_e, *clock
         return fixes
 
-    def _residuals(self, fixes: Floats) -> tuple[Floats, Floats]:
+    def _list_residuals(self, fixes: Floats) -> tuple[Floats, Floats]:
         """(K, n) of the pseudoranges [m], and (K, n, 3) lines of sight."""
         r, s = fixes[:, None, :3], self.position
         distance = np.linalg.norm(s - r, axis=-1)
@@ -183,151 +213,93 @@ class Measured:
         left = self.pseudorange - distance - sagnac - fixes[:, 6, None]
         return left, (s - r) / distance[..., None]
 
-    def _spread(self, fixes: Floats, use: NDArray[np.bool_]) -> float:
-        left = self._residuals(fixes)[0][:, use]
-        many = np.isfinite(left).sum(axis=1) > STATES
-        return float(np.sqrt(np.nanmedian(left[many] ** 2))) if many.any() else 0.0
-
-    def _remove_wild(self) -> None:
-        """Drop single ranges that no movement of the receiver explains."""
-        place = np.nanmedian(self.fixes, axis=0)
-        require(np.isfinite(place).all(), f"no epoch has the {STATES} satellites of a fix")
-        left = self._residuals(np.broadcast_to(place, self.fixes.shape))[0]
-        some = np.isfinite(left).any(axis=1)
-        left[some] -= np.nanmedian(left[some], axis=1, keepdims=True)
-        with np.errstate(invalid="ignore"):
-            wild = np.abs(left) > RANGE_SPREAD
-        if wild.any():
-            self.pseudorange[wild] = np.nan
-            self.fixes = self._fix_epochs(np.ones(len(self.satellites), dtype=bool))
-            self.lines.append(
-                f"{wild.sum()} pseudoranges are left out: they are off by {RANGE_SPREAD:g} m or more"
-            )
+    def _spread(self, fixes: Floats, without: int = -1) -> float:
+        """Median residual of fixes of more than four satellites [m]."""
+        left = np.delete(self._list_residuals(fixes)[0], [without] if without >= 0 else [], axis=1)
+        left = left[np.isfinite(left).sum(axis=1) > 4]
+        return float(np.nanmedian(np.abs(left))) if left.size else 0.0
 
     def _remove_odd(self) -> None:
-        """Drop satellites without which the ranges of the others agree, and epochs of which they
-        still do not."""
-        use = np.ones(len(self.satellites), dtype=bool)
-        while (now := self._spread(self.fixes, use)) > ODD_M:
-            trials = []
-            for j in np.flatnonzero(use):
-                without = use & (np.arange(len(use)) != j)
-                fixes = self._fix_epochs(without)
-                trials.append((self._spread(fixes, without) or now, int(j), fixes))
-            best, j, fixes = min(trials, key=lambda each: each[:2])
-            if best > now / ODD_RATIO:
+        """Drop satellites without which the others agree, and epochs that still do not."""
+        self.fixes = self._fix_epochs()
+        while (now := self._spread(self.fixes)) > ODD_M:
+            trials = [self._fix_epochs(j) for j in range(len(self.satellites))]
+            spreads = [self._spread(fixes, j) or now for j, fixes in enumerate(trials)]
+            j = int(np.argmin(spreads))
+            if spreads[j] > now / ODD_RATIO:
                 break
-            use[j], self.fixes = False, fixes
-            off = self._residuals(fixes)[0][:, j]
+            self.fixes = trials[j]
+            off = self._list_residuals(self.fixes)[0][:, j]
             self.lines.append(
-                f"{self.satellites[j]} is left out: its pseudoranges are off by "
-                f"{np.nanmedian(off):.6g} m (median of {np.isfinite(off).sum()} epochs) from what "
-                "the others agree on"
+                f"left out: {self.satellites[j]}, whose pseudoranges are off by "
+                f"{np.nanmedian(off):.6g} m (median of {np.isfinite(off).sum()} epochs)"
             )
             self.pseudorange[:, j] = np.nan
-        with np.errstate(invalid="ignore"):
-            apart = (np.abs(self._residuals(self.fixes)[0]) > ODD_M).any(axis=1)
+        apart = (np.abs(self._list_residuals(self.fixes)[0]) > ODD_M).any(axis=1)
         apart |= ~np.isfinite(self.fixes[:, 0])
+        require(not apart.all(), "; ".join([*self.lines, "no epoch has a fix"]))
         if apart.any():
-            self.pseudorange[apart], self.fixes[apart] = np.nan, np.nan
+            self.pseudorange[apart] = self.fixes[apart] = np.nan
             self.lines.append(
-                f"{apart.sum()} epochs are left out: their ranges give no fix, or disagree by over "
-                f"{ODD_M:g} m"
+                f"left out: {apart.sum()} epochs without a fix, or with ranges that disagree by "
+                f"over {ODD_M:g} m"
             )
 
     def _remove_troposphere(self) -> None:
         """Ranges without the delay of a standard atmosphere, and without low satellites."""
-        fixed = np.isfinite(self.fixes[:, 0])
-        latitude, longitude, height = ecef_to_geodetic(self.fixes[fixed, :3])
+        latitude, longitude, height = ecef_to_geodetic(self.fixes[:, :3])
         C_en = dcm_e_from_n(latitude, longitude)
-        elevation, _ = look_angles(self.position[fixed], self.fixes[fixed, :3], C_en)
-        low = np.zeros(self.pseudorange.shape, dtype=bool)
-        with np.errstate(invalid="ignore"):
-            low[fixed] = elevation < np.radians(MASK_DEG)
-        low &= np.isfinite(self.pseudorange)
-        delay = saastamoinen(elevation, latitude[:, None], height[:, None])
-        self.pseudorange[fixed] -= delay
+        elevation, _ = look_angles(self.position, self.fixes[:, :3], C_en)
+        self.pseudorange -= compute_saastamoinen(elevation, latitude[:, None], height[:, None])
+        low = np.isfinite(self.pseudorange) & (elevation < np.radians(MASK_DEG))
         self.pseudorange[low] = np.nan
         if low.any():
-            self.lines.append(f"{low.sum()} observations are below {MASK_DEG:g} deg")
+            self.lines.append(f"left out: {low.sum()} observations below {MASK_DEG:g} deg")
 
     def _remove_system_offsets(self) -> None:
         """Ranges without what the clock of each further system is off by, a constant: the least
         squares of all epochs, each with a position and a clock of its own."""
-        self.fixes = self._fix_epochs(np.ones(len(self.satellites), dtype=bool))
-        names = sorted({x[0] for x in self.satellites}, key="GEC".index)
-        if len(names) < 2:
-            return
-        left, sight = self._residuals(self.fixes)
-        there = np.isfinite(left)
-        G = np.concatenate([-sight, np.ones((*left.shape, 1))], axis=2)
-        G = np.where(there[..., None], G, 0.0)
+        names = sorted({x[0] for x in self.satellites}, key=[*SIGNALS].index)
+        left, sight = self._list_residuals(self._fix_epochs())
+        there = np.isfinite(left)[..., None]
+        G = np.where(there, np.concatenate([-sight, np.ones((*left.shape, 1))], axis=2), 0.0)
         own = np.array([[x[0] == name for name in names[1:]] for x in self.satellites], dtype=float)
-        H = np.where(there[..., None], own, 0.0)
+        H = np.where(there, own, 0.0)
         projected = H - G @ (np.linalg.pinv(G) @ H)
         normal = np.einsum("kni,knj->ij", projected, H)
-        right = np.einsum("kni,kn->i", projected, np.where(there, left, 0.0))
+        right = np.einsum("kni,kn->i", projected, np.nan_to_num(left))
         offsets = np.linalg.lstsq(normal, right, rcond=None)[0]
         self.pseudorange -= own @ offsets
         for name, value in zip(names[1:], offsets, strict=True):
             self.lines.append(f"the clock of system {name} is {value:.2f} m off that of {names[0]}")
 
-    def _describe_fixes(self) -> None:
-        fixed = np.isfinite(self.fixes[:, 0])
-        drift = float(np.median(self.fixes[fixed, 7]))
-        unusual = abs(drift) > OSCILLATOR * SPEED_OF_LIGHT
-        spread = self._spread(self.fixes, np.ones(len(self.satellites), dtype=bool))
-        self.lines += [
-            f"fixes at {fixed.sum()} of {len(fixed)} epochs; median residual {spread:.3g} m",
-            f"the receiver's clock drifts by {drift:.6g} m/s, {1e6 * drift / SPEED_OF_LIGHT:.3g} "
-            f"ppm{': more than a receiver, is it a transmitter?' * unusual}",
-            "the ionosphere is not corrected",
-        ]
 
-
-def _describe(o: Observations) -> list[str]:
-    start = GPS_EPOCH + np.timedelta64(round(o.time[0]), "s").astype(object)
-    lines = [
-        f"{len(o.time)} epochs from {start} GPS time, in {o.segment[-1] + 1} runs of rising time; "
-        f"{len(o.satellites)} satellites: {' '.join(o.satellites)}"
-    ]
-    if o.left_out:
-        lines.append("left out: " + ", ".join(f"{n} {what}" for what, n in o.left_out.items()))
-    return lines
-
-
-def _place_satellite(o: Observations, j: int, ephemerides: Ephemerides) -> Floats:
+def _place_satellite(o: Observations, j: int, e: Ephemerides) -> Floats:
     """(K, 8) position, velocity, clock and its drift of a satellite when its signal leaves it;
     NaN where it has no healthy record near enough [m], [m/s], [s], [s/s]."""
-    e, placed = ephemerides, np.full((len(o.time), 8), np.nan)
+    placed = np.full((len(o.time), 8), np.nan)
     records = np.flatnonzero(e.healthy & (e.satellite_id == o.satellites[j]))
-    rows = np.flatnonzero(np.isfinite(o.pseudorange[:, j]))
-    if not (records.size and rows.size):
+    if not records.size:
         return placed
-    time = o.time[rows] - o.pseudorange[rows, j] / SPEED_OF_LIGHT
+    time = o.time - o.pseudorange[:, j] / SPEED_OF_LIGHT
     ages = np.abs(time[:, None] - e.time_of_ephemeris[records])
-    record = records[ages.argmin(axis=1)]
-    near = ages.min(axis=1) <= VALIDITY
-    rows, time, record = rows[near], time[near], record[near]
+    rows = np.flatnonzero(ages.min(axis=1) <= VALIDITY)
+    time, record = time[rows], records[ages[rows].argmin(axis=1)]
+    drift, rate = e.clock_drift[record], e.clock_drift_rate[record]
 
-    def clock(at: Floats) -> Floats:
-        t = at - e.time_of_clock[record]
-        return e.clock_bias[record] + (e.clock_drift[record] + e.clock_drift_rate[record] * t) * t
+    def clock(elapsed: Floats) -> Floats:
+        return np.asarray(e.clock_bias[record] + (drift + rate * elapsed) * elapsed)
 
-    left = time - clock(time)
-    states = propagate_orbits(e, record, left - e.time_of_ephemeris[record])
-    position, velocity = states.position_e, states.velocity_e
+    left = time - clock(time - e.time_of_clock[record])
+    elapsed = left - e.time_of_clock[record]
+    position, velocity = propagate_orbits(e, record, left - e.time_of_ephemeris[record])
     relativity = -2.0 * (position * velocity).sum(axis=-1) / SPEED_OF_LIGHT**2
-    delay = o.signal(j).delays * e.group_delay[record]
-    drift = e.clock_drift[record] + 2.0 * e.clock_drift_rate[record] * (
-        left - e.time_of_clock[record]
-    )
-    offsets = np.column_stack([clock(left) + relativity - delay, drift])
-    placed[rows] = np.hstack([position, velocity, offsets])
+    bias = clock(elapsed) + relativity - o.signals[j].delays * e.group_delay[record]
+    placed[rows] = np.column_stack([position, velocity, bias, drift + 2.0 * rate * elapsed])
     return placed
 
 
-def saastamoinen(elevation: Floats, latitude: Floats, height: Floats) -> Floats:
+def compute_saastamoinen(elevation: Floats, latitude: Floats, height: Floats) -> Floats:
     r"""Delay by a standard atmosphere of half its humidity [m].
 
     .. math:: \frac{0.0022768\, p}{\cos z\,(1 - 0.00266 \cos 2\varphi - 0.00028\, h)} +
@@ -346,7 +318,7 @@ def saastamoinen(elevation: Floats, latitude: Floats, height: Floats) -> Floats:
     return np.asarray((dry + wet) / np.sin(np.maximum(elevation, np.radians(1.0))))
 
 
-def _rest(measured: Measured) -> InertialSamples:
+def _rest(measured: _Measured) -> InertialSamples:
     """Samples of a perfect sensor at rest, its axes north, east and down."""
     steps = np.arange(measured.time.min() - 1.0, measured.time.max() + 1.0, STATIC_STEP_S)
     place = np.nanmedian(measured.fixes[:, :3], axis=0)
@@ -354,10 +326,11 @@ def _rest(measured: Measured) -> InertialSamples:
     C_en = dcm_e_from_n(latitude, longitude)
     force = -np.array(gravity(*place)) @ C_en
     rate = np.array([0.0, 0.0, EARTH_RATE]) @ C_en
-    return InertialSamples(steps, *(np.tile(x, (len(steps), 1)) for x in (force, rate)), 0)
+    still = np.tile([[force], [rate]], (1, len(steps), 1))
+    return InertialSamples(steps, still[0], still[1], 0)
 
 
-def _cut_pieces(measured: Measured, samples: InertialSamples) -> list[NDArray[np.intp]]:
+def _cut_pieces(measured: _Measured, samples: InertialSamples) -> list[NDArray[np.intp]]:
     """Epochs that one replay runs through: between jumps of time, and gaps of either."""
     ends = samples.time
     lengths = np.diff(ends, prepend=-np.inf)
@@ -377,7 +350,7 @@ def _cut_pieces(measured: Measured, samples: InertialSamples) -> list[NDArray[np
 
 
 def _find_start(
-    measured: Measured, samples: InertialSamples, rows: NDArray[np.intp], still: bool
+    measured: _Measured, samples: InertialSamples, rows: NDArray[np.intp], still: bool
 ) -> tuple[int, NavState]:
     """First epoch with a fix whose velocity is a heading, and the state there."""
     fixed = rows[np.isfinite(measured.fixes[rows, 0])]
@@ -420,7 +393,7 @@ def _axes(first: Floats, second: Floats) -> Floats:
 
 
 def _make_recording(
-    measured: Measured, samples: InertialSamples, start: float, rows: NDArray[np.intp]
+    measured: _Measured, samples: InertialSamples, start: float, rows: NDArray[np.intp]
 ) -> Recording:
     """Epochs after the start, with samples that are split at them."""
     epochs = np.round(measured.time[rows] - start, 6)
@@ -439,7 +412,7 @@ def _make_recording(
     )
 
 
-def _variances(sd: Floats, factors: tuple[float, float]) -> Floats:
+def _list_variances(sd: Floats, factors: tuple[float, float]) -> Floats:
     """(K, 2n) of the measurements, those of `NoiseModel` where the receiver says nothing."""
     model, n = NoiseModel(), sd.shape[1] // 2
     usual = np.repeat([model.pseudorange_sd, model.range_rate_sd], n)
