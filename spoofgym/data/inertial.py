@@ -62,7 +62,8 @@ def read_inertial(
     path, keys = Path(path), _read_mapping(Path(mapping))
     columns = {name: keys[name].get("columns", [keys[name].get("column")]) for name in UNITS}
     with name_file(path):
-        named = [str(x).removeprefix("-") for each in columns.values() for x in each]
+        used = [x for each in columns.values() for x in each]
+        named = [] if int in map(type, used) else [str(x).removeprefix("-") for x in used]
         table = read_table(path, named, header=keys.get("header", True))
         own_time, force, rate = (
             UNITS[name][keys[name]["unit"]]

@@ -354,30 +354,30 @@ def _find_start(
 ) -> tuple[int, NavState]:
     """First epoch with a fix whose velocity is a heading, and the state there."""
     fixed = rows[np.isfinite(measured.fixes[rows, 0])]
-    for row in fixed:
-        now, around = (
-            measured.time[row],
-            fixed[abs(measured.time[fixed] - measured.time[row]) <= LEVELLING_S],
-        )
-        if len(around) < 2 or len(rows) - np.searchsorted(rows, row) < FEWEST:
+    time = measured.time[fixed]
+    firsts = np.searchsorted(time, time - LEVELLING_S)
+    ends = np.searchsorted(time, time + LEVELLING_S, side="right")
+    for row, now, first, end in zip(fixed, time, firsts, ends, strict=True):
+        if end - first < 2 or len(rows) - np.searchsorted(rows, row) < FEWEST:
             continue
-        fix = measured.fixes[row]
-        change, velocity = np.polyfit(measured.time[around] - now, measured.fixes[around, 3:6], 1)
-        latitude, longitude, _ = ecef_to_geodetic(fix[:3])
-        C_en = dcm_e_from_n(latitude, longitude)
-        if not still and np.hypot(*(velocity @ C_en)[:2]) < MOVING_MPS:
-            continue
-        felt = samples.specific_force_b[abs(samples.time - now) <= LEVELLING_S].mean(axis=0)
-        force, ahead = change - gravity(*fix[:3]), velocity
+        position, clock = measured.fixes[row, :3], measured.fixes[row, 6:]
+        around = measured.fixes[fixed[first:end], 3:6]
+        change, velocity = np.polyfit(time[first:end] - now, around, 1)
+        C_eb = C_en = dcm_e_from_n(*ecef_to_geodetic(position)[:2])
         if still:
-            force, ahead = -np.array(gravity(*fix[:3])), C_en[:, 0]
-        C_eb = _axes(force, ahead) @ _axes(felt, np.array([1.0, 0.0, 0.0])).T
+            velocity = np.zeros(3)
+        elif np.hypot(*(velocity @ C_en)[:2]) < MOVING_MPS:
+            continue
+        else:
+            felt = samples.specific_force_b[abs(samples.time - now) <= LEVELLING_S].mean(axis=0)
+            local = _join_axes(change - gravity(*position), velocity)
+            C_eb = local @ _join_axes(felt, np.array([1.0, 0.0, 0.0])).T
         return int(row), NavState(
-            position_e=fix[:3],
-            velocity_e=np.zeros(3) if still else velocity,
+            position_e=position,
+            velocity_e=velocity,
             C_eb=C_eb,
-            clock_bias_m=fix[6],
-            clock_drift_mps=fix[7],
+            clock_bias_m=clock[0],
+            clock_drift_mps=clock[1],
         )
     raise ValueError(
         f"before its last {FEWEST} epochs there is no fix"
@@ -385,7 +385,7 @@ def _find_start(
     )
 
 
-def _axes(first: Floats, second: Floats) -> Floats:
+def _join_axes(first: Floats, second: Floats) -> Floats:
     """(3, 3) axes as columns: along `first`, and `second` in the plane of the first two."""
     x, z = first, np.cross(first, second)
     axes = np.stack([x, np.cross(z, x), z], axis=1)
