@@ -11,6 +11,7 @@ import io
 import json
 import math
 import os
+import tomllib
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 GZIP_MAGIC = b"\x1f\x8b"
 LARGEST_SIZE = 64 * 2**20  # of a file, unpacked [bytes]: twice a day of records once a second
+LARGEST_TOML = 2**18  # [bytes]
 LARGEST_ARCHIVE = 2**30  # of all members of a zip file, unpacked [bytes]
 MOST_LINES, MOST_VALUES, MOST_DIGITS = 2**20, 2**21, 60
 """Lines of a text, objects and elements of JSON, and digits of a whole number in it."""
@@ -46,7 +48,7 @@ def name_file(path: str | os.PathLike[str] | None) -> Iterator[None]:
     """Name the file in errors of what its content is made into; None where it is no file."""
     try:
         yield
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         if path is None or os.fspath(path) in str(error):
             raise
         raise FileError(f"{os.fspath(path)}: {error}") from error
@@ -80,6 +82,13 @@ def read_lines(path: Path) -> bytes:
 def read_json(path: str | os.PathLike[str], kind: type = dict, most: int | None = None) -> Any:
     """JSON of a file as `parse_json` has it, of at most so many bytes."""
     return parse_json(read_file(Path(path), most), os.fspath(path), kind)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(read_file(path, LARGEST_TOML).decode())
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{path} is not TOML: {error}") from error
 
 
 def parse_json(content: bytes | str, where: str, kind: type = dict) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.reading import FileError, name_file, read_file, read_table
+from ..core.reading import name_file, read_table, read_toml
 from ..core.registry import check_choice, require
 from ..earth.wgs84 import DEGREE, STANDARD_GRAVITY
 from .ephemerides import GPS_EPOCH, LEAP_SECOND_DATES, SECONDS_PER_WEEK
@@ -34,7 +33,6 @@ TIME_SCALES = {
     "unix-gps": "those counted without leap seconds, in GPS time",
 }
 UNIX = datetime(1970, 1, 1)
-LARGEST_MAPPING = 2**16
 
 
 class InertialSamples(NamedTuple):
@@ -101,10 +99,7 @@ def _take(table: Any, column: str | int) -> Floats:
 
 def _read_mapping(path: Path) -> dict[str, Any]:
     with name_file(path):
-        try:
-            keys = tomllib.loads(read_file(path, LARGEST_MAPPING).decode())
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise FileError(f"it is not TOML: {error}") from error
+        keys = read_toml(path)
         for name in keys:
             check_choice("key", name, [*FORMS, "header", "lever_arm_m"])
         require(isinstance(keys.get("header", True), bool), "`header` must be true or false")

@@ -109,19 +109,19 @@ def solve_raw(
     for number, rows in enumerate(_cut_pieces(measured, samples), 1):
         try:
             row, initial = _find_start(measured, samples, rows, still)
+            start, rows = float(measured.time[row]), rows[rows > row]
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ImplausibleWarning)  # it is the remark
+                solution = replay(
+                    _make_recording(measured, samples, start, rows),
+                    receiver,
+                    initial=initial,
+                    noise_variance=_list_variances(measured.sd[rows], noise_factors),
+                    fields=FILTER,
+                )
         except ValueError as error:
             lines.append(f"piece {number}, {len(rows)} epochs, is left out: {error}")
             continue
-        start, rows = float(measured.time[row]), rows[rows > row]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ImplausibleWarning)  # it is the remark
-            solution = replay(
-                _make_recording(measured, samples, start, rows),
-                receiver,
-                initial=initial,
-                noise_variance=_list_variances(measured.sd[rows], noise_factors),
-                fields=FILTER,
-            )
         after = start - float(measured.time[0])
         lines.append(f"piece {number} starts at {after:.2f} s: {len(rows)} epochs")
         lines += filter(None, [solution.remark])

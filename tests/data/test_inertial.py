@@ -85,7 +85,7 @@ def test_a_lever_arm_moves_the_sensor_to_the_antenna(read):
         ('["-ay", "ax", "az"]', '["ax"]', r"`specific_force\.columns` must be 3 names"),
         ('"-ay"', '"-xx"', "unknown column 'xx'; valid: ax"),
         ('"-ay"', "9", "unknown column '9'; valid: 1, 2"),
-        ("[time]", "[time", "it is not TOML"),
+        ("[time]", "[time", "is not TOML: "),
         ("[time]", "lever_arm_m = 3\n[time]", "`lever_arm_m` must be 3 numbers, got 3"),
     ],
 )
