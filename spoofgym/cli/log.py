@@ -139,7 +139,7 @@ def import_log(
     """Write a log in the other form, or that of a filter run over raw measurements."""
     from ..receiver.log import InnovationLog
 
-    if len(files) == 1:
+    if len(files) == 1 and mapping is None and not static:
         print_written([InnovationLog.load(files[0]).save(out)])
         return
     from ..receiver.raw_measurements import read_raw_log

@@ -38,7 +38,7 @@ SIGNALS = {
     "E": dict.fromkeys(("1C", "1X", "1B", "1"), Signal(1575.42e6)),
     "C": {
         **dict.fromkeys(("2I", "1I", "2X"), Signal(1561.098e6)),
-        **dict.fromkeys(("1P", "1D", "1X"), Signal(1575.42e6)),
+        **dict.fromkeys(("1P", "1D"), Signal(1575.42e6)),
         **dict.fromkeys(("6I", "6X"), Signal(1268.52e6, 0.0)),
     },
 }

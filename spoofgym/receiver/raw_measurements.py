@@ -172,6 +172,7 @@ class _Measured:
         self._remove_troposphere()
         self._remove_system_offsets()
         self.fixes = self._fix_epochs()
+        require(np.isfinite(self.fixes).any(), "; ".join([*self.lines, "no epoch has a fix"]))
         drift = float(np.nanmedian(self.fixes[:, 7]))
         unusual = abs(drift) > OSCILLATOR * SPEED_OF_LIGHT
         self.lines += [
