@@ -30,6 +30,7 @@ docs/glossary
 docs/simulated
 docs/own_data
 docs/logs
+docs/walk
 docs/train_your_own
 docs/learned_spoofers
 docs/train_your_own_detector

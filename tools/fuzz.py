@@ -33,6 +33,8 @@ from spoofgym.bench.experiments.store import Cell, Result, Store
 from spoofgym.core.files import write_file
 from spoofgym.core.reading import read_json
 from spoofgym.core.registry import parse_spec
+from spoofgym.data.inertial import read_inertial
+from spoofgym.data.observations import SDS, TABLE, read_observations
 from spoofgym.data.rinex import read_navigation
 from spoofgym.data.tracks import read_track
 from spoofgym.detectors.build import make_detector
@@ -66,6 +68,20 @@ RECORD = """\
     0.590400000000D+06 0.400000000000D+01
 """
 NAVIGATION = f"{'     2.10':20}{'N':40}RINEX VERSION / TYPE\n{'':60}END OF HEADER\n{RECORD}{RECORD}"
+OBSERVATIONS = (
+    f"{'     3.04':20}{'O':40}RINEX VERSION / TYPE\n{'G    2 C1C D1C':60}SYS / # / OBS TYPES\n"
+    f"{'':60}END OF HEADER\n"
+    + "".join(
+        f"> 2024 09 14 22 00 {k:10.7f}  0  1\nG05{2e7:14.3f}  {9e2:14.3f}\n" for k in range(9)
+    )
+)
+RAW = "\n".join([",".join((*TABLE, *SDS)), *(f"2331,{k},0,5,0,2e7,900,1,1" for k in range(9))])
+SAMPLES = b"".join(b"%d,0,0,-1,0,0,0\n" % k for k in range(9))
+MAPPING = b"""header = false
+time = { column = 1, unit = "s", scale = "gps" }
+specific_force = { columns = [2, 3, 4], unit = "g" }
+angular_rate = { columns = [5, 6, -7], unit = "deg/s" }
+"""
 ROWS = [
     {"time": 1.7e9 + 5 * k, "lat": 47.0 + 1e-3 * k, "lon": 8.0, "alt": 1e4, "gs": 400, "track": 1}
     for k in range(20)
@@ -156,6 +172,23 @@ def _read_flight(path: Path) -> None:
     json.dumps([*log.check_signals(), log.about], allow_nan=False)
 
 
+def _read_observations(path: Path) -> None:
+    found = read_observations(path)
+    assert np.isfinite(found.time).all()
+    assert found.pseudorange.shape == (len(found.time), len(found.satellites))
+
+
+def _read_samples(path: Path) -> None:
+    (path.parent / "m.toml").write_bytes(MAPPING)
+    found = read_inertial(path, path.parent / "m.toml", 0.0)
+    assert all(np.isfinite(x).all() for x in found[:3])
+
+
+def _read_mapping(path: Path) -> None:
+    (path.parent / "s.csv").write_bytes(SAMPLES)
+    read_inertial(path.parent / "s.csv", path, 0.0)
+
+
 def _read_onnx(path: Path) -> None:
     content = path.read_bytes()
     about = _describe(content)
@@ -235,11 +268,15 @@ READERS = {
     "checkpoint": Reader(".pt", _checkpoints, _read_checkpoint),
     "config": Reader(".json", _dump({"experiment": "x", "format": 1, "config": {}}), _read_config),
     "dataflash": Reader(".bin", _dataflash, _read_flight),
+    "inertial": Reader(".csv", lambda: [SAMPLES], _read_samples),
+    "inertial-toml": Reader(".toml", lambda: [MAPPING], _read_mapping),
     "json": Reader(".json", _dump({"a": [1, 2.5, "x", None, {"b": []}]}), read_json),
     "navigation": Reader(".24n", lambda: [NAVIGATION.encode()], _read_navigation),
     "navigation-gz": Reader(
         ".24n.gz", lambda: [gzip.compress(NAVIGATION.encode())], _read_navigation
     ),
+    "observations": Reader(".24o", lambda: [OBSERVATIONS.encode()], _read_observations),
+    "observations-csv": Reader(".csv", lambda: [RAW.encode()], _read_observations),
     "onnx": Reader(
         ".onnx", lambda: [x.read_bytes() for x in ZOO_FOLDER.glob("*.onnx")], _read_onnx
     ),

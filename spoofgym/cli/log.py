@@ -110,21 +110,44 @@ def judge_(
 @group.command("import")
 @clear_errors
 def import_log(
-    log: Annotated[
-        Path,
+    files: Annotated[
+        list[Path],
         Argument(
-            help="Log of PX4 (.ulg) or ArduPilot (.bin), a table (.csv, .parquet), or matrices "
-            "(.npz)."
+            help="Log of PX4 (.ulg) or ArduPilot (.bin), a table (.csv, .parquet) or matrices "
+            "(.npz); or raw measurements: observations (RINEX 2 or 3, or a table of RXM-RAWX), "
+            "navigation files (RINEX), and a table of inertial samples."
         ),
     ],
     out: Annotated[Path, Option("--out", "-o", help="File to write, .npz or .csv.")],
+    mapping: Annotated[
+        Path | None,
+        Option(help="TOML file that says what the columns of the inertial samples are."),
+    ] = None,
+    static: Annotated[
+        bool, Option("--static", help="The receiver was at rest; no inertial samples.")
+    ] = False,
+    grade: Annotated[str, Option(help="Grade of the inertial sensors.")] = "consumer",
+    noise_factors: Annotated[
+        tuple[float, float],
+        Option(
+            help="Factors on the standard deviations of pseudoranges and range rates, those of the "
+            "receiver itself or 2.5 m and 0.1 m/s."
+        ),
+    ] = (1.0, 1.0),
 ) -> None:
-    """Write a log of an autopilot as one of innovations, or such a log in the other form."""
+    """Write a log of an autopilot, or of a filter run over raw measurements, as one of innovations;
+    or such a log in the other form."""
     from ..receiver.autopilots import read_dataflash, read_ulog
     from ..receiver.log import InnovationLog
+    from ..receiver.raw_measurements import read_raw_log
 
-    readers = {".ulg": read_ulog, ".bin": read_dataflash}
-    found = readers.get(log.suffix.lower(), InnovationLog.load)(log)
+    if len(files) > 1 or mapping is not None or static:
+        found = read_raw_log(
+            files, mapping, static=static, grade=grade, noise_factors=noise_factors
+        )
+    else:
+        readers = {".ulg": read_ulog, ".bin": read_dataflash}
+        found = readers.get(files[0].suffix.lower(), InnovationLog.load)(files[0])
     print_lines(_describe_import(found))
     print_written([found.save(out)])
 
@@ -140,6 +163,9 @@ def _describe_import(log: InnovationLog) -> list[str]:
     """What a reader found, left out and trusted, and how the rest fits its variances."""
     lines = []
     for key, value in log.about.items():
+        if key == "lines":
+            lines += value
+            continue
         if isinstance(value, Mapping):
             value = ", ".join(f"{count} {reason}" for reason, count in value.items()) or "nothing"
         lines.append(f"{key.replace('_', ' ')}: {value}")

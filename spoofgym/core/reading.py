@@ -11,18 +11,24 @@ import io
 import json
 import math
 import os
+import tomllib
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    import pandas
+
 GZIP_MAGIC = b"\x1f\x8b"
 LARGEST_SIZE = 64 * 2**20  # of a file, unpacked [bytes]: twice a day of records once a second
+LARGEST_TOML = 2**18  # [bytes]
 LARGEST_ARCHIVE = 2**30  # of all members of a zip file, unpacked [bytes]
 MOST_LINES, MOST_VALUES, MOST_DIGITS = 2**20, 2**21, 60
 """Lines of a text, objects and elements of JSON, and digits of a whole number in it."""
@@ -42,7 +48,7 @@ def name_file(path: str | os.PathLike[str] | None) -> Iterator[None]:
     """Name the file in errors of what its content is made into; None where it is no file."""
     try:
         yield
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         if path is None or os.fspath(path) in str(error):
             raise
         raise FileError(f"{os.fspath(path)}: {error}") from error
@@ -76,6 +82,13 @@ def read_lines(path: Path) -> bytes:
 def read_json(path: str | os.PathLike[str], kind: type = dict, most: int | None = None) -> Any:
     """JSON of a file as `parse_json` has it, of at most so many bytes."""
     return parse_json(read_file(Path(path), most), os.fspath(path), kind)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(read_file(path, LARGEST_TOML).decode())
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{path} is not TOML: {error}") from error
 
 
 def parse_json(content: bytes | str, where: str, kind: type = dict) -> Any:
@@ -170,6 +183,30 @@ def check_table(rows: int, columns: int) -> None:
         raise ValueError(f"it must have at most {MOST_COLUMNS} columns, got {columns}")
     if rows * columns > MOST_CELLS:
         raise ValueError(f"it must hold at most {MOST_CELLS} values, got {rows * columns}")
+
+
+def read_table(path: Path, columns: Sequence[str] = (), *, header: bool = True) -> pandas.DataFrame:
+    """Table of a CSV or Parquet file; of Parquet the named columns alone, where there are any.
+    Without a `header` the columns have the names 1, 2, 3."""
+    if find_spec("pandas") is None:
+        raise ImportError("reading a table needs pandas and pyarrow: pip install spoofgym[flights]")
+    import pandas
+
+    if ".parquet" not in path.suffixes:
+        content = read_lines(path)
+        width = content.split(b"\n", 1)[0].count(b",") + 1
+        check_table(content.count(b"\n") + 1, width)
+        return pandas.read_csv(
+            io.BytesIO(content),
+            encoding="utf-8-sig",
+            **({} if header else {"header": None, "names": range(1, width + 1)}),
+        )
+    from pyarrow.parquet import ParquetFile
+
+    file = ParquetFile(io.BytesIO(read_file(path)))
+    found = [name for name in columns or file.schema.names if name in file.schema.names]
+    check_table(file.metadata.num_rows, len(found))
+    return file.read(columns=found).to_pandas()
 
 
 def parse_array(data: bytes) -> NDArray[Any]:

@@ -1,9 +1,10 @@
-"""Broadcast ephemerides: GPS satellites where they really were on a day of the past.
+"""Broadcast ephemerides: satellites where they really were on a day of the past.
 
 Orbits follow IS-GPS-200, "NAVSTAR GPS Space Segment/Navigation User Interfaces", table 20-IV;
 velocities are their exact derivatives (Thompson et al. 2019, "Computing GPS satellite velocity and
-acceleration from the broadcast navigation message", NAVIGATION 66(4)).  All times are GPS seconds:
-seconds since 1980-01-06 00:00 in the GPS time scale, counted through every week.
+acceleration from the broadcast navigation message", NAVIGATION 66(4)).  Galileo (OS SIS ICD) and
+BeiDou (B1I ICD; but for its geostationary satellites) differ by constants alone.  All times are GPS
+seconds: seconds since 1980-01-06 00:00 in the GPS time scale, counted through every week.
 
 A navigation file holds what receivers around the world have heard, now and then wrongly: `screen`
 drops copies, and records that their neighbours in time, which describe the same orbit, contradict.
@@ -28,6 +29,9 @@ GPS_EPOCH = datetime(1980, 1, 6)  # start of GPS time
 SECONDS_PER_WEEK = 604800.0
 GPS_GRAVITATIONAL_CONSTANT = 3.986005e14  # mu of IS-GPS-200 [m^3/s^2], not that of WGS-84
 GPS_EARTH_RATE = 7.2921151467e-5  # earth rate of the GPS user, IS-GPS-200 [rad/s]
+GRAVITATIONAL_CONSTANT = 3.986004418e14  # mu of Galileo and BeiDou [m^3/s^2]
+BEIDOU_EARTH_RATE = 7.292115e-5  # [rad/s]
+BEIDOU_LAG = 14.0  # of the time of BeiDou behind that of GPS [s]
 VALIDITY = 7200.0  # longest time from that of a record [s]: half the 4 h curve fit interval
 ORBIT_FIELDS = (  # the 16 Keplerian parameters of a record
     *("root_semi_major_axis", "eccentricity", "mean_anomaly", "mean_motion_correction", "perigee"),
@@ -68,7 +72,7 @@ class Ephemerides:
 
     Angles are in radians and the symbols in brackets are those of IS-GPS-200.
 
-    - `satellite_id` (R,) "G01";
+    - `satellite_id` (R,) "G01"; E for Galileo, C for BeiDou;
     - `health` (R,) SV health; 0 is healthy;
     - `issue` (R,) issue of data, ephemeris [IODE];
     - `time_of_clock`, `time_of_ephemeris` (R,) reference times, GPS seconds [s] [toc, toe];
@@ -202,11 +206,16 @@ def propagate_orbits(
     `elapsed`: time since its `time_of_ephemeris`, t_k [s]; NaN gives NaN; returns (S, 3) each.
     IS-GPS-200, table 20-IV; Thompson et al. (2019) for the derivatives.
     """
+    index = np.asarray(record, dtype=np.intp)
     (A, e, M0, dn, omega, O0, O_dot, i0, i_dot, cuc, cus, cic, cis, crc, crs, toe) = (
-        getattr(ephemerides, name)[np.asarray(record, dtype=np.intp)] for name in ORBIT_FIELDS
+        getattr(ephemerides, name)[index] for name in ORBIT_FIELDS
     )
+    system = ephemerides.satellite_id.astype("<U1")[index]
+    mu = np.where(system == "G", GPS_GRAVITATIONAL_CONSTANT, GRAVITATIONAL_CONSTANT)
+    turn = np.where(system == "C", BEIDOU_EARTH_RATE, GPS_EARTH_RATE)
+    of_week = (toe - np.where(system == "C", BEIDOU_LAG, 0.0)) % SECONDS_PER_WEEK
     A, t = A * A, np.asarray(elapsed, dtype=np.float64)
-    n = np.sqrt(GPS_GRAVITATIONAL_CONSTANT / (A * A * A)) + dn
+    n = np.sqrt(mu / (A * A * A)) + dn
     E = solve_kepler(M0 + n * t, e)
     rho = 1.0 - e * np.cos(E)
     root = np.sqrt(1.0 - e * e)
@@ -218,8 +227,8 @@ def propagate_orbits(
         radius_rate=A * e * np.sin(E) * n / rho + 2.0 * phi_rate * (crs * c2 - crc * s2),
         latitude_argument=phi + cus * s2 + cuc * c2,
         latitude_argument_rate=phi_rate * (1.0 + 2.0 * (cus * c2 - cuc * s2)),
-        node=O0 + (O_dot - GPS_EARTH_RATE) * t - GPS_EARTH_RATE * (toe % SECONDS_PER_WEEK),
-        node_rate=O_dot - GPS_EARTH_RATE,
+        node=O0 + (O_dot - turn) * t - turn * of_week,
+        node_rate=O_dot - turn,
         inclination=i0 + i_dot * t + cis * s2 + cic * c2,
         inclination_rate=i_dot + 2.0 * phi_rate * (cis * c2 - cic * s2),
     )

@@ -1,8 +1,9 @@
-"""RINEX navigation files, versions 2, 3 and 4: the GPS broadcast ephemerides in them.
+"""RINEX navigation files, versions 2, 3 and 4: the broadcast ephemerides in them.
 
 The format is that of "RINEX: The Receiver Independent Exchange Format", versions 2.11, 3.05 and
-4.01, sections on the GPS navigation message: a header, then eight lines of fixed columns to a
-record, in version 4 below a line with its kind, of which the legacy ones (LNAV) are read.
+4.01, sections on navigation messages: a header, then eight lines of fixed columns to a record, in
+version 4 below a line with its kind, of which the legacy ones (LNAV) are read. Records of Galileo
+and BeiDou have the orbit and the clock of GPS in the same columns, on other scales of time.
 
 The package georinex reads these files too, and the tests compare with it.  It isn't used here,
 since it drops records that share an epoch, and misreads lines that end early.
@@ -24,7 +25,7 @@ import numpy as np
 
 from ..core.reading import FileError, read_lines
 from ..core.registry import require
-from .ephemerides import ORBIT_FIELDS, SECONDS_PER_WEEK, Ephemerides, gps_seconds
+from .ephemerides import BEIDOU_LAG, ORBIT_FIELDS, SECONDS_PER_WEEK, Ephemerides, gps_seconds
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -68,6 +69,16 @@ RANGES = {
     **dict.fromkeys(("cuc", "cus", "cic", "cis"), _compute_signed_range(16, -29)),
     **dict.fromkeys(("crc", "crs"), _compute_signed_range(16, -5)),
 }
+# The wider of the ranges of Galileo (OS SIS ICD, tables 66 to 75; two orbits are eccentric) and
+# BeiDou (B1I ICD, tables 5-8 to 5-11) where they are wider than those of GPS.
+WIDER_RANGES = RANGES | {
+    **dict(clock_bias=_compute_signed_range(31, -34), clock_drift=_compute_signed_range(21, -46)),
+    **dict(group_delay=_compute_signed_range(10, -32), eccentricity=(0.0, 0.2)),
+    **dict(health=(0.0, 511.0), issue=(0.0, 1023.0)),
+    **dict.fromkeys(("crc", "crs"), _compute_signed_range(18, -6)),
+}
+GEOSTATIONARY = frozenset(f"C{k:02d}" for k in (*range(1, 6), *range(59, 64)))
+"""Satellites of BeiDou whose records are in axes of their own (B1I ICD, table 5-11)."""
 
 
 class _Layout(NamedTuple):
@@ -92,30 +103,33 @@ _LAYOUTS = {
 }
 
 
-def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
-    """GPS records of a RINEX navigation file, in the order of the file.
+def read_navigation(path: str | os.PathLike[str], systems: str = "G") -> Ephemerides:
+    """Records of a RINEX navigation file of GPS, or of any `systems` of "GEC", in its order.
 
-    Records of other constellations are left out, and their number is logged.  Malformed records
-    (cut short, a field that is no number or is out of range) are left out with one warning.  The
-    calendar date of a record gives its week, so that the week number field isn't needed.
-    A `spoofgym.data.tracks.FileError` says why the file can't be read.
+    Records of other constellations, and of geostationary satellites, are left out, and their number
+    is logged.  Malformed records (cut short, a field that is no number or is out of range) are left
+    out with one warning.  The calendar date of a record gives its week, so that the week number
+    field isn't needed.  A `spoofgym.core.reading.FileError` says why the file can't be read.
     """
     path = Path(path)
-    lines = _read_lines(path)
-    version = _checked_version(lines[0] if lines else "", path)
+    lines = read_text(path)
+    version = check_version(lines[0] if lines else "", path, (2, 3, 4))
+    if not (kind := lines[0][20:40].strip()).startswith("N"):
+        raise FileError(f"{path} is not a navigation file of GPS (N), got type {kind!r}")
     if version == 4:
         version, lines = 3, _blank_other_frames(lines)
+    wanted = "GPS" if systems == "G" else " ".join(systems)
     satellites: list[str] = []
     records: list[dict[str, float]] = []
     others: Counter[str] = Counter()
     malformed, first = 0, ""
     for number, block in _blocks(lines, path):
         system = block[0][0] if version == 3 else "G"
-        if system != "G":
+        if system not in systems or block[0][:3] in GEOSTATIONARY:
             others[system] += 1
             continue
         try:
-            satellite, record = _parse(block, _LAYOUTS[version])
+            satellite, record = _parse(block, _LAYOUTS[version], system)
         except ValueError as error:
             malformed, first = malformed + 1, first or f"line {number}: {error}"
             continue
@@ -126,13 +140,13 @@ def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
         _LOGGER.info("%s: records of other constellations ignored: %s", path, ignored)
     if not records:
         raise FileError(
-            f"{path} holds no usable GPS satellite: {malformed} malformed GPS records"
+            f"{path} holds no usable {wanted} satellite: {malformed} malformed {wanted} records"
             f"{first and f' (the first at {first})'}, "
             f"{sum(others.values())} records of other constellations"
         )
     if malformed:
         warnings.warn(
-            f"{path}: {malformed} malformed GPS records left out, the first at {first}",
+            f"{path}: {malformed} malformed {wanted} records left out, the first at {first}",
             RuntimeWarning,
             stacklevel=2,
         )
@@ -140,7 +154,8 @@ def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
     return Ephemerides(satellite_id=np.array(satellites), **columns)
 
 
-def _read_lines(path: Path) -> list[str]:
+def read_text(path: Path) -> list[str]:
+    """Lines of a RINEX file."""
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")
     content = read_lines(path)
@@ -149,18 +164,19 @@ def _read_lines(path: Path) -> list[str]:
     return content.decode("ascii", errors="replace").splitlines()
 
 
-def _checked_version(line: str, path: Path) -> int:
+def check_version(line: str, path: Path, valid: tuple[int, ...]) -> int:
+    """Version that the first line of a RINEX file names."""
     if line[60:80].rstrip() != "RINEX VERSION / TYPE":
         raise FileError(f"{path} is not a RINEX file: it begins with {line[:80]!r}")
-    kind = line[20:40].strip()
     try:
         version = int(float(line[:9]))
     except (ValueError, OverflowError):
         raise FileError(f"{path} has no RINEX version, got {line[:9]!r}") from None
-    if version not in (2, 3, 4):
-        raise FileError(f"{path} is of RINEX version {line[:9].strip()}, valid are 2, 3 and 4")
-    if not kind.startswith("N"):
-        raise FileError(f"{path} is not a navigation file of GPS (N), got type {kind!r}")
+    if version not in valid:
+        *most, last = map(str, valid)
+        raise FileError(
+            f"{path} is of RINEX version {line[:9].strip()}, valid are {', '.join(most)} and {last}"
+        )
     return version
 
 
@@ -194,7 +210,7 @@ def _blocks(lines: list[str], path: Path) -> Iterator[tuple[int, list[str]]]:
         yield number, block
 
 
-def _parse(block: list[str], layout: _Layout) -> tuple[str, dict[str, float]]:
+def _parse(block: list[str], layout: _Layout, system: str) -> tuple[str, dict[str, float]]:
     require(
         len(block) == LINES_PER_RECORD, f"a record has {LINES_PER_RECORD} lines, got {len(block)}"
     )
@@ -206,16 +222,19 @@ def _parse(block: list[str], layout: _Layout) -> tuple[str, dict[str, float]]:
         name: _number(block[line], layout.first_column + FIELD_WIDTH * column, name)
         for name, (line, column) in FIELDS.items()
     }
-    for name, (low, high) in RANGES.items():
+    if system == "E" and int(_number(block[5], layout.first_column + FIELD_WIDTH, "source")) & 512:
+        column = layout.first_column + 3 * FIELD_WIDTH  # clock and delay of E5b and E1
+        record["group_delay"] = _number(block[6], column, "group_delay")
+    for name, (low, high) in (RANGES if system == "G" else WIDER_RANGES).items():
         if not low <= record[name] <= high:
             raise ValueError(f"`{name}` must be within {low:g} to {high:g}, got {record[name]:g}")
     second_of_week = record.pop("second_of_week")
-    time_of_clock = gps_seconds(_date([block[0][part] for part in layout.date]))
+    time_of_clock = gps_seconds(parse_date([block[0][part] for part in layout.date]))
     half = 0.5 * SECONDS_PER_WEEK
     lead = (second_of_week - time_of_clock + half) % SECONDS_PER_WEEK - half
-    record["time_of_clock"] = time_of_clock
-    record["time_of_ephemeris"] = time_of_clock + lead
-    return f"G{number:02d}", record
+    record["time_of_clock"] = time_of_clock + BEIDOU_LAG * (system == "C")
+    record["time_of_ephemeris"] = record["time_of_clock"] + lead
+    return f"{system}{number:02d}", record
 
 
 def _number(line: str, column: int, name: str) -> float:
@@ -230,7 +249,7 @@ def _number(line: str, column: int, name: str) -> float:
     return value
 
 
-def _date(parts: list[str]) -> datetime:
+def parse_date(parts: list[str]) -> datetime:
     """Date from its parts; years of two digits are those of 1980 to 2079."""
     year, month, day, hour, minute = map(int, parts[:5])
     second = float(parts[5])

@@ -24,14 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.files import whole_file
-from ..core.reading import (
-    Archive,
-    check_table,
-    parse_array,
-    parse_json,
-    read_file,
-    read_lines,
-)
+from ..core.reading import Archive, parse_array, parse_json, read_table
 from ..core.registry import check_choice, require
 from .epoch import FILTER, OPTIONAL, Epoch
 
@@ -226,7 +219,11 @@ class InnovationLog:
         if not path.is_file():
             raise FileNotFoundError(f"there is no file {path}")
         try:
-            return _read_matrices(path) if kind == ".npz" else cls.from_table(_read_table(path))
+            return (
+                _read_matrices(path)
+                if kind == ".npz"
+                else cls.from_table(read_table(path, (*COLUMNS, "segment")))
+            )
         except (ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
             raise ValueError(f"{path}: {error}") from error
 
@@ -410,27 +407,6 @@ def _check_pair(signals: tuple[str, ...]) -> None:
         f"`signals` must be {' or '.join(' and '.join(pair) for pair in PAIRS)}, got "
         f"{', '.join(signals)}",
     )
-
-
-def _read_table(path: Path) -> pandas.DataFrame:
-    from importlib.util import find_spec
-
-    if find_spec("pandas") is None:
-        raise ImportError("reading a table needs pandas and pyarrow: pip install spoofgym[flights]")
-    from io import BytesIO
-
-    import pandas
-
-    if path.suffix.lower() == ".csv":
-        content = read_lines(path)
-        check_table(content.count(b"\n") + 1, content.split(b"\n", 1)[0].count(b",") + 1)
-        return pandas.read_csv(BytesIO(content), encoding="utf-8-sig")
-    from pyarrow.parquet import ParquetFile
-
-    file = ParquetFile(BytesIO(read_file(path)))
-    columns = [name for name in (*COLUMNS, "segment") if name in file.schema.names]
-    check_table(file.metadata.num_rows, len(columns))
-    return file.read(columns=columns).to_pandas()
 
 
 def _read_matrices(path: Path) -> InnovationLog:

@@ -310,7 +310,7 @@ MISTAKES: dict[str, Callable[[Recording, NavState], Changes]] = {
         _shift(x, np.asarray(x.pseudorange) / -SPEED_OF_LIGHT),
         {},
     ),
-    "the satellites' clocks were not taken out of the pseudoranges": lambda x, start: (
+    "the satellites' clocks or delays were not taken out of the pseudoranges": lambda x, start: (
         _without_offsets(x, start),
         {},
     ),

@@ -16,7 +16,7 @@ FOUNDATION = {Path(name).stem for name in FOUNDATION_FILES}
 OF_NUMBA = {"core/compile.py", "core/simd.py"}
 """The decorator, how it compiles, and the types of vectors."""
 DECORATORS = {"njit", "inline_njit"}
-BRIDGES = {"envs/spoofer_binding.py"}
+BRIDGES = {"envs/spoofer_binding.py", "receiver/raw_measurements.py"}
 """Files of compiled layers that may know of other packages, since nothing compiled imports them."""
 
 

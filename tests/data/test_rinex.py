@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from spoofgym.data.ephemerides import SECONDS_PER_WEEK, Ephemerides, gps_seconds, screen
+from spoofgym.data.ephemerides import (
+    SECONDS_PER_WEEK,
+    Ephemerides,
+    gps_seconds,
+    propagate_orbits,
+    screen,
+)
 from spoofgym.data.rinex import read_navigation
 from tools.fuzz import RECORD
 
@@ -253,3 +259,28 @@ def test_real_files_as_georinex_reads_them(data_folder, name, records):
         assert_array_equal(getattr(e, ours), expected[theirs].values[index], ours)
     toe = expected.GPSWeek.values * SECONDS_PER_WEEK + expected.Toe.values
     assert_array_equal(e.time_of_ephemeris, toe[index])
+
+
+def test_galileo_and_beidou_are_read_where_they_are_wanted(written):
+    gps = to_version_3(G05)
+    both = to_version_3(G05, "E") + to_version_3(G05, "C").replace("C05", "C20")
+    path = written(HEADER_3 + gps + both + to_version_3(G05, "C"))  # C05 is geostationary
+    assert read_navigation(path).satellite_ids == ("G05",)
+    e = read_navigation(path, "GEC")
+    assert e.satellite_id.tolist() == ["G05", "E05", "C20"]
+    assert (e.time_of_ephemeris - e.time_of_ephemeris[0]).tolist() == [0.0, 0.0, 14.0]
+    assert (e.time_of_clock - e.time_of_clock[0]).tolist() == [0.0, 0.0, 14.0]
+    a, b, c = propagate_orbits(e, [0, 1, 2], 0.0).position_e
+    assert_array_equal(a, b)
+    assert np.linalg.norm(c - a) < 20.0  # the Earth turns a little slower there
+    moved = propagate_orbits(e, [0, 1], 7200.0).position_e
+    n = np.sqrt(np.array([3.986005e14, 3.986004418e14]) / 5153.7**6)
+    assert np.linalg.norm(moved[1] - moved[0]) == pytest.approx(
+        (n[0] - n[1]) * 7200.0 * 5153.7**2, rel=0.05
+    )
+    source = "0.200000000000D-09 0.100000000000D+01"
+    assert source in both
+    assert read_navigation(path, "E").group_delay[0] == -1.1e-8
+    other = both.replace(source, "0.200000000000D-09 0.513000000000D+03")  # I/NAV
+    other = other.replace("0.630000000000D+02\n     0.59", "0.220000000000D-08\n     0.59")
+    assert read_navigation(written(HEADER_3 + other), "E").group_delay[0] == 2.2e-9

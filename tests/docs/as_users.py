@@ -15,6 +15,7 @@ SHOWN = {
     "json": "a result",
     "cpp": "tests/docs/test_logs.py compiles it",
     "matlab": "tests/docs/test_logs.py plays it where Octave is",
+    "toml": "a file that the reader saves",
     "{eval-rst}": "`make docs` builds them",
 }
 """Languages of blocks that are nothing to run, and what they are."""
@@ -95,7 +96,7 @@ SPAN = re.compile(r"(?<!`)`((?:spoofgym|python -m|make) [^`\n]* ?--[^`\n]*)`(?!`
 PLACEHOLDER = re.compile(r"\b(NAME|COMMIT|KEY)\b")
 PART = re.compile(
     r"(?:<!-- needs (?P<needs>\w+) -->\n)?^ *```(?P<language>[^`\s]+)\n(?P<text>.*?)^ *```$"
-    r"|Saved as `(?P<saved>\w+\.py)`"
+    r"|Saved as `(?P<saved>\w+\.(?:py|toml))`"
     rf"|{SPAN.pattern}",
     flags=re.DOTALL | re.MULTILINE,
 )
@@ -119,11 +120,13 @@ def languages_of(page: Path) -> set[str]:
 
 def steps_of(page: Path) -> list[Step]:
     """Everything that a page has one run, as it stands there."""
-    found: list[Step] = []
+    found, blocks = list[Step](), dict[str, str]()
     for part in PART.finditer(page.read_text()):
+        if part["language"]:
+            blocks[part["language"]] = part["text"]
         if part["saved"]:
-            code = next(step.text for step in reversed(found) if step.kind == CODE)
-            found.append(Step(part["saved"], code))
+            kind = part["saved"].split(".")[1].replace("py", CODE)
+            found.append(Step(part["saved"], blocks[kind]))
         elif part["language"] == CODE:
             found.append(Step(CODE, part["text"], part["needs"] or ""))
         elif part["language"] in COMMANDS:

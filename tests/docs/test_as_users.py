@@ -53,6 +53,10 @@ GIVEN = {
 FLOWN = {
     "flight.json.gz": "adsb_flights/ajaccio.json.gz",
     "brdc.12n": "gnss_broadcast/brdc3050.12n",
+    **{
+        name: f"ublox_walk/{name}"
+        for name in ("walk_rawx.csv.gz", "walk_convbin.nav", "walk_0827_imu_1730_sf.csv.gz")
+    },
 }
 """Those that are in the folder of real data."""
 PLAYER = """

@@ -204,7 +204,7 @@ FLAGGED = {
     "local axes": (lambda r, c: {}, "attitude to local axes"),
     "satellite clocks": (
         lambda r, c: {"pseudorange": r.pseudorange + np.linspace(-9e4, 2e5, N)},
-        "the satellites' clocks were not taken out",
+        "the satellites' clocks or delays were not taken out",
     ),
     "arrival": (lambda r, c: moved(r, c, r.pseudorange / SPEED_OF_LIGHT), "when a signal arrives"),
     "lone ranges": (

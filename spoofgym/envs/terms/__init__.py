@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
-from ...core.reading import name_file, read_file, read_json
+from ...core.reading import name_file, read_json, read_toml
 from ...core.registry import build, check_choice
 from ...core.settings import describe
 from .action import ACTION_TERMS, ActionTerm
@@ -35,7 +34,6 @@ ActionSpec = _Name | PurePath | ActionTerm | Sequence[_Name | ActionTerm]
 RewardSpec = _Name | PurePath | RewardTerm | Sequence[_Name | RewardTerm]
 EndSpec = _Name | PurePath | EndTerm | Sequence[_Name | EndTerm]
 SUFFIXES = (".json", ".toml")
-LARGEST_TOML = 2**18  # [bytes]
 
 
 class _Nothing:
@@ -99,10 +97,7 @@ def _make(kind: str, spec: Any) -> Any:
 
 def _read_terms(kind: str, path: Path) -> Any:
     try:
-        if path.suffix == ".json":
-            content = read_json(path, object)
-        else:
-            content = tomllib.loads(read_file(path, LARGEST_TOML).decode())
+        content = read_json(path, object) if path.suffix == ".json" else read_toml(path)
     except OSError as error:
         if not isinstance(error, FileNotFoundError):
             raise ValueError(f"{str(path)!r} can't be read: {error}") from error

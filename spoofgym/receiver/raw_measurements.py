@@ -1,0 +1,421 @@
+"""From raw measurements to innovations: a receiver's observations, orbits and inertial samples.
+
+Pseudoranges and range rates lose what is not the receiver's: satellite clocks with relativity and
+group delay (IS-GPS-200, 20.3.3.3.3), the troposphere, constant offsets between the clocks of the
+systems, and the receiver's own steps of whole milliseconds.  What is left is replayed in pieces, a
+new one wherever time jumps or samples are missing; each begins with a least-squares fix, levelled,
+and with the heading of its velocity.  The ionosphere stays in.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.registry import require
+from ..data.ephemerides import GPS_EPOCH, VALIDITY, Ephemerides, join_ephemerides, propagate_orbits
+from ..data.inertial import InertialSamples, read_inertial
+from ..data.observations import SIGNALS, Observations, is_table, read_observations
+from ..data.rinex import read_navigation
+from ..earth.wgs84 import (
+    EARTH_RATE,
+    SPEED_OF_LIGHT,
+    dcm_e_from_n,
+    ecef_to_geodetic,
+    gravity,
+    look_angles,
+)
+from .epoch import FILTER
+from .log import MOST_ELEMENTS, InnovationLog
+from .plausibility import CLOCK_STEP, ImplausibleWarning
+from .recording import LONGEST_SAMPLE_S, Recording
+from .replay import Solution, replay
+from .snapshot import least_squares_fix
+from .tight import NavState, NoiseModel, TightlyCoupled
+
+Floats = NDArray[np.float64]
+ODD_M, ODD_RATIO = 500.0, 5.0
+"""Residuals of fixes that are no noise, and how much they shrink without an odd satellite."""
+MOVING_MPS = 1.0  # horizontal speed whose direction is a heading
+LEVELLING_S = 1.0  # time before and after the start from which the first attitude follows
+FEWEST = 20  # epochs of a piece
+LONGEST_GAP_S = 10.0  # between epochs of a piece
+MASK_DEG = 10.0
+OSCILLATOR = 3e-6  # drift of a receiver's clock beyond which it is unusual [s/s]
+STATIC_STEP_S = 0.25
+Solutions = list[tuple[float, Solution]]
+"""GPS seconds at time zero of each piece, and what its replay estimated."""
+
+
+def read_raw_log(
+    files: Sequence[str | os.PathLike[str]],
+    mapping: str | os.PathLike[str] | None = None,
+    *,
+    static: bool = False,
+    **settings: Any,
+) -> InnovationLog:
+    """Innovations from files: observations, navigation files, and a table of inertial samples,
+    whose columns `mapping` describes; without these the receiver must be `static`. `settings` are
+    those of `solve_raw`."""
+    first, *others = map(Path, files)
+    tables = [path for path in others if is_table(path)]
+    orbits = [path for path in others if path not in tables]
+    require(orbits, "orbits are missing: give a RINEX navigation file after the observations")
+    require(
+        (len(tables), mapping is not None, static) in ((1, True, False), (0, False, True)),
+        "give one table of inertial samples and a TOML file that says what its columns are "
+        "(--mapping), or say that the receiver was at rest (--static)",
+    )
+    observations = read_observations(first)
+    samples = None
+    if mapping is not None:
+        samples = read_inertial(tables[0], mapping, float(observations.time[0]))
+    ephemerides = join_ephemerides([read_navigation(path, "".join(SIGNALS)) for path in orbits])
+    return solve_raw(observations, ephemerides, samples, **settings)[0]
+
+
+def solve_raw(
+    observations: Observations,
+    ephemerides: Ephemerides,
+    samples: InertialSamples | None,
+    *,
+    grade: str = "consumer",
+    noise_factors: tuple[float, float] = (1.0, 1.0),
+) -> tuple[InnovationLog, Solutions]:
+    """Replay raw measurements, with inertial samples or, where they are None, at rest.
+
+    `grade`: of the inertial sensors, see `TightlyCoupled`; `noise_factors` on the standard
+    deviations of pseudoranges and range rates, which are those of the receiver itself, or those of
+    `NoiseModel` where it says nothing. Times of the log are those since the first epoch [s]; its
+    `about` has ``lines``: what was found, corrected and left out.
+    """
+    require(min(noise_factors) > 0.0, f"`noise_factors` must be positive, got {noise_factors}")
+    measured, still = _Measured(observations, ephemerides), samples is None
+    size = len(measured.time) * (2 * len(measured.satellites)) ** 2
+    require(size <= MOST_ELEMENTS, f"covariances would have {size:,} elements: cut it into parts")
+    if samples is None:
+        samples, grade = _rest(measured), "aviation"
+    receiver, lines = TightlyCoupled(grade=grade), measured.lines
+    logs, solutions = list[InnovationLog](), Solutions()
+    for number, rows in enumerate(_cut_pieces(measured, samples), 1):
+        try:
+            row, initial = _find_start(measured, samples, rows, still)
+            start, rows = float(measured.time[row]), rows[rows > row]
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ImplausibleWarning)  # it is the remark
+                solution = replay(
+                    _make_recording(measured, samples, start, rows),
+                    receiver,
+                    initial=initial,
+                    noise_variance=_list_variances(measured.sd[rows], noise_factors),
+                    fields=FILTER,
+                )
+        except ValueError as error:
+            lines.append(f"piece {number}, {len(rows)} epochs, is left out: {error}")
+            continue
+        after = start - float(measured.time[0])
+        lines.append(f"piece {number} starts at {after:.2f} s: {len(rows)} epochs")
+        lines += filter(None, [solution.remark])
+        solutions.append((start, solution))
+        log = InnovationLog.from_replay(solution)
+        logs.append(replace(log, time=log.time + after, segment=log.segment + number))
+    require(logs, "; ".join(["nothing can be replayed", *lines]))
+    fields = ("time", "segment", "innovation", "innovation_cov")
+    joined: dict[str, Any] = {x: np.concatenate([getattr(log, x) for log in logs]) for x in fields}
+    joined["more"] = {x: np.concatenate([log.more[x] for log in logs]) for x in logs[0].more}
+    joined["about"] = {"from": "raw measurements", "lines": lines}
+    return replace(logs[0], **joined, channels=measured.satellites), solutions
+
+
+class _Measured:
+    """Observations without what is not the receiver's, satellites, and a fix of every epoch.
+
+    - `time` (K,) GPS seconds; `pseudorange`, `range_rate` (K, n); `position`, `velocity` (K, n, 3)
+      of the `satellites` (n,); `sd` (K, 2n);
+    - `fixes` (K, 8) ECEF position and velocity, clock and its drift [m], [m/s]; NaN without;
+    - `lines` about what was done.
+    """
+
+    def __init__(self, o: Observations, ephemerides: Ephemerides) -> None:
+        begin = GPS_EPOCH + timedelta(seconds=round(o.time[0]))
+        runs = int(o.segment[-1] - o.segment[0]) + 1
+        self.lines = [
+            f"{len(o.time)} epochs from {begin} GPS time on, in {runs} runs of rising time; "
+            f"{len(o.satellites)} satellites: {' '.join(o.satellites)}",
+            *(f"left out: {count} {what}" for what, count in o.left_out.items() if count),
+        ]
+        n = len(o.satellites)
+        placed = np.stack([_place_satellite(o, j, ephemerides) for j in range(n)], axis=1)
+        found = np.isfinite(placed).any(axis=(0, 2))
+        used, unused = np.flatnonzero(found), np.flatnonzero(~found)
+        if unused.size:
+            missing = " ".join(o.satellites[j] for j in unused)
+            self.lines.append(f"left out without a healthy record of the orbit: {missing}")
+        self.time, self.segment = o.time, o.segment
+        self.satellites = tuple(o.satellites[j] for j in used)
+        placed = placed[:, used]
+        self.position, self.velocity = placed[..., :3], placed[..., 3:6]
+        self.pseudorange = o.pseudorange[:, used] + SPEED_OF_LIGHT * placed[..., 6]
+        self.range_rate = o.range_rate[:, used] + SPEED_OF_LIGHT * placed[..., 7]
+        self.sd = o.sd[:, [*used, *(n + used)]]
+        self._remove_clock_steps()
+        self._remove_odd()
+        self._remove_troposphere()
+        self._remove_system_offsets()
+        self.fixes = self._fix_epochs()
+        require(np.isfinite(self.fixes).any(), "; ".join([*self.lines, "no epoch has a fix"]))
+        drift = float(np.nanmedian(self.fixes[:, 7]))
+        unusual = abs(drift) > OSCILLATOR * SPEED_OF_LIGHT
+        self.lines += [
+            f"fixes of {np.isfinite(self.fixes[:, 0]).sum()} epochs, median residual "
+            f"{self._spread(self.fixes):.3g} m; the ionosphere is not corrected",
+            f"the receiver's clock drifts by {drift:.6g} m/s, {1e6 * drift / SPEED_OF_LIGHT:.3g} "
+            f"ppm{': more than that of a receiver, is it a transmitter?' * unusual}",
+        ]
+
+    def _remove_clock_steps(self) -> None:
+        """Ranges without the steps of whole milliseconds by which a receiver puts its clock right:
+        what all of them change by beyond their rates."""
+        rate, step = self.range_rate, np.diff(self.time)[:, None]
+        change = np.diff(self.pseudorange, axis=0) - 0.5 * (rate[1:] + rate[:-1]) * step
+        common = np.zeros(len(change))
+        some = np.isfinite(change).any(axis=1) & (np.diff(self.segment) == 0)
+        common[some] = np.nanmedian(change[some], axis=1)
+        count = np.round(common / CLOCK_STEP)
+        self.pseudorange[1:] -= CLOCK_STEP * np.cumsum(count)[:, None]
+        if (steps := np.count_nonzero(count)) > 0:
+            self.lines.append(f"{steps} steps of the receiver's clock by whole ms are taken out")
+
+    def _fix_epochs(self, without: int = -1) -> Floats:
+        use = np.arange(len(self.satellites)) != without
+        fixes, guess = np.full((len(self.time), 8), np.nan), np.zeros(3)
+        arrays = self.pseudorange, self.range_rate, self.position, self.velocity
+        for k, each in enumerate(zip(*(x[:, use] for x in arrays), strict=True)):
+            with suppress(ValueError):  # too few satellites, or a singular geometry
+                fix = least_squares_fix(*each, guess_e=guess)
+                guess, clock = fix.position_e, (fix.clock_bias_m, fix.clock_drift_mps)
+                fixes[k] = *fix.position_e, *fix.velocity_e, *clock
+        return fixes
+
+    def _list_residuals(self, fixes: Floats) -> tuple[Floats, Floats]:
+        """(K, n) of the pseudoranges [m], and (K, n, 3) lines of sight."""
+        r, s = fixes[:, None, :3], self.position
+        distance = np.linalg.norm(s - r, axis=-1)
+        sagnac = EARTH_RATE / SPEED_OF_LIGHT * (s[..., 0] * r[..., 1] - s[..., 1] * r[..., 0])
+        left = self.pseudorange - distance - sagnac - fixes[:, 6, None]
+        return left, (s - r) / distance[..., None]
+
+    def _spread(self, fixes: Floats, without: int = -1) -> float:
+        """Median residual of fixes of more than four satellites [m]."""
+        left = np.delete(self._list_residuals(fixes)[0], [without] if without >= 0 else [], axis=1)
+        left = left[np.isfinite(left).sum(axis=1) > 4]
+        return float(np.nanmedian(np.abs(left))) if left.size else 0.0
+
+    def _remove_odd(self) -> None:
+        """Drop satellites without which the others agree, and epochs that still do not."""
+        self.fixes = self._fix_epochs()
+        while (now := self._spread(self.fixes)) > ODD_M:
+            trials = [self._fix_epochs(j) for j in range(len(self.satellites))]
+            spreads = [self._spread(fixes, j) or now for j, fixes in enumerate(trials)]
+            j = int(np.argmin(spreads))
+            if spreads[j] > now / ODD_RATIO:
+                break
+            self.fixes = trials[j]
+            off = self._list_residuals(self.fixes)[0][:, j]
+            self.lines.append(
+                f"left out: {self.satellites[j]}, whose pseudoranges are off by "
+                f"{np.nanmedian(off):.6g} m (median of {np.isfinite(off).sum()} epochs)"
+            )
+            self.pseudorange[:, j] = np.nan
+        apart = (np.abs(self._list_residuals(self.fixes)[0]) > ODD_M).any(axis=1)
+        apart |= ~np.isfinite(self.fixes[:, 0])
+        require(not apart.all(), "; ".join([*self.lines, "no epoch has a fix"]))
+        if apart.any():
+            self.pseudorange[apart] = self.fixes[apart] = np.nan
+            self.lines.append(
+                f"left out: {apart.sum()} epochs without a fix, or with ranges that disagree by "
+                f"over {ODD_M:g} m"
+            )
+
+    def _remove_troposphere(self) -> None:
+        """Ranges without the delay of a standard atmosphere, and without low satellites."""
+        latitude, longitude, height = ecef_to_geodetic(self.fixes[:, :3])
+        C_en = dcm_e_from_n(latitude, longitude)
+        elevation, _ = look_angles(self.position, self.fixes[:, :3], C_en)
+        self.pseudorange -= compute_saastamoinen(elevation, latitude[:, None], height[:, None])
+        low = np.isfinite(self.pseudorange) & (elevation < np.radians(MASK_DEG))
+        self.pseudorange[low] = np.nan
+        if low.any():
+            self.lines.append(f"left out: {low.sum()} observations below {MASK_DEG:g} deg")
+
+    def _remove_system_offsets(self) -> None:
+        """Ranges without what the clock of each further system is off by, a constant: the least
+        squares of all epochs, each with a position and a clock of its own."""
+        names = sorted({x[0] for x in self.satellites}, key=[*SIGNALS].index)
+        left, sight = self._list_residuals(self._fix_epochs())
+        there = np.isfinite(left)[..., None]
+        G = np.where(there, np.concatenate([-sight, np.ones((*left.shape, 1))], axis=2), 0.0)
+        own = np.array([[x[0] == name for name in names[1:]] for x in self.satellites], dtype=float)
+        H = np.where(there, own, 0.0)
+        projected = H - G @ (np.linalg.pinv(G) @ H)
+        normal = np.einsum("kni,knj->ij", projected, H)
+        right = np.einsum("kni,kn->i", projected, np.nan_to_num(left))
+        offsets = np.linalg.lstsq(normal, right, rcond=None)[0]
+        self.pseudorange -= own @ offsets
+        for name, value in zip(names[1:], offsets, strict=True):
+            self.lines.append(f"the clock of system {name} is {value:.2f} m off that of {names[0]}")
+
+
+def _place_satellite(o: Observations, j: int, e: Ephemerides) -> Floats:
+    """(K, 8) position, velocity, clock and its drift of a satellite when its signal leaves it;
+    NaN where it has no healthy record near enough [m], [m/s], [s], [s/s]."""
+    placed = np.full((len(o.time), 8), np.nan)
+    records = np.flatnonzero(e.healthy & (e.satellite_id == o.satellites[j]))
+    if not records.size:
+        return placed
+    time = o.time - o.pseudorange[:, j] / SPEED_OF_LIGHT
+    ages = np.abs(time[:, None] - e.time_of_ephemeris[records])
+    rows = np.flatnonzero(ages.min(axis=1) <= VALIDITY)
+    time, record = time[rows], records[ages[rows].argmin(axis=1)]
+    drift, rate = e.clock_drift[record], e.clock_drift_rate[record]
+
+    def clock(elapsed: Floats) -> Floats:
+        return np.asarray(e.clock_bias[record] + (drift + rate * elapsed) * elapsed)
+
+    left = time - clock(time - e.time_of_clock[record])
+    elapsed = left - e.time_of_clock[record]
+    position, velocity = propagate_orbits(e, record, left - e.time_of_ephemeris[record])
+    relativity = -2.0 * (position * velocity).sum(axis=-1) / SPEED_OF_LIGHT**2
+    bias = clock(elapsed) + relativity - o.signals[j].delays * e.group_delay[record]
+    placed[rows] = np.column_stack([position, velocity, bias, drift + 2.0 * rate * elapsed])
+    return placed
+
+
+def compute_saastamoinen(elevation: Floats, latitude: Floats, height: Floats) -> Floats:
+    r"""Delay by a standard atmosphere of half its humidity [m].
+
+    .. math:: \frac{0.0022768\, p}{\cos z\,(1 - 0.00266 \cos 2\varphi - 0.00028\, h)} +
+        \frac{0.002277}{\cos z}\left(\frac{1255}{T} + 0.05\right) e
+
+    `elevation` and `latitude` [rad]; `height` [m], used from sea level to 10 km, `h` in km.
+    Saastamoinen (1972), "Atmospheric correction for the troposphere and stratosphere in radio
+    ranging satellites"; the atmosphere is that of RTKLIB, manual E.5.
+    """
+    h = np.clip(height, 0.0, 10_000.0)
+    pressure = 1013.25 * (1.0 - 2.2557e-5 * h) ** 5.2568
+    kelvin = 288.15 - 6.5e-3 * h
+    vapour = 0.5 * 6.108 * np.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
+    dry = 0.0022768 * pressure / (1.0 - 0.00266 * np.cos(2.0 * latitude) - 2.8e-7 * h)
+    wet = 0.002277 * (1255.0 / kelvin + 0.05) * vapour
+    return np.asarray((dry + wet) / np.sin(np.maximum(elevation, np.radians(1.0))))
+
+
+def _rest(measured: _Measured) -> InertialSamples:
+    """Samples of a perfect sensor at rest, its axes north, east and down."""
+    steps = np.arange(measured.time.min() - 1.0, measured.time.max() + 1.0, STATIC_STEP_S)
+    place = np.nanmedian(measured.fixes[:, :3], axis=0)
+    latitude, longitude, _ = ecef_to_geodetic(place)
+    C_en = dcm_e_from_n(latitude, longitude)
+    force = -np.array(gravity(*place)) @ C_en
+    rate = np.array([0.0, 0.0, EARTH_RATE]) @ C_en
+    still = np.tile([[force], [rate]], (1, len(steps), 1))
+    return InertialSamples(steps, still[0], still[1], 0)
+
+
+def _cut_pieces(measured: _Measured, samples: InertialSamples) -> list[NDArray[np.intp]]:
+    """Epochs that one replay runs through: between jumps of time, and gaps of either."""
+    ends = samples.time
+    lengths = np.diff(ends, prepend=-np.inf)
+    during = np.clip(np.searchsorted(ends, measured.time), 0, len(ends) - 1)
+    covered = (measured.time <= ends[-1]) & (lengths[during] <= LONGEST_SAMPLE_S)
+    rows = np.flatnonzero(covered)
+    require(
+        rows.size,
+        f"no epoch is at a time of an inertial sample: these are of {ends[0]:.3f} to "
+        f"{ends[-1]:.3f} s GPS time, those of {measured.time[0]:.3f} to {measured.time[-1]:.3f} s; "
+        "is `time.scale` right?",
+    )
+    apart = np.diff(measured.segment[rows]) != 0
+    apart |= np.diff(np.cumsum(lengths > LONGEST_SAMPLE_S)[during[rows]]) != 0
+    apart |= np.diff(measured.time[rows]) > LONGEST_GAP_S
+    return np.split(rows, np.flatnonzero(apart) + 1)
+
+
+def _find_start(
+    measured: _Measured, samples: InertialSamples, rows: NDArray[np.intp], still: bool
+) -> tuple[int, NavState]:
+    """First epoch with a fix whose velocity is a heading, and the state there."""
+    fixed = rows[np.isfinite(measured.fixes[rows, 0])]
+    time = measured.time[fixed]
+    firsts = np.searchsorted(time, time - LEVELLING_S)
+    ends = np.searchsorted(time, time + LEVELLING_S, side="right")
+    for row, now, first, end in zip(fixed, time, firsts, ends, strict=True):
+        if end - first < 2 or len(rows) - np.searchsorted(rows, row) < FEWEST:
+            continue
+        position, clock = measured.fixes[row, :3], measured.fixes[row, 6:]
+        around = measured.fixes[fixed[first:end], 3:6]
+        change, velocity = np.polyfit(time[first:end] - now, around, 1)
+        C_eb = C_en = dcm_e_from_n(*ecef_to_geodetic(position)[:2])
+        if still:
+            velocity = np.zeros(3)
+        elif np.hypot(*(velocity @ C_en)[:2]) < MOVING_MPS:
+            continue
+        else:
+            felt = samples.specific_force_b[abs(samples.time - now) <= LEVELLING_S].mean(axis=0)
+            local = _join_axes(change - gravity(*position), velocity)
+            C_eb = local @ _join_axes(felt, np.array([1.0, 0.0, 0.0])).T
+        return int(row), NavState(
+            position_e=position,
+            velocity_e=velocity,
+            C_eb=C_eb,
+            clock_bias_m=clock[0],
+            clock_drift_mps=clock[1],
+        )
+    raise ValueError(
+        f"before its last {FEWEST} epochs there is no fix"
+        + f" with {MOVING_MPS:g} m/s, from which a heading follows" * (not still)
+    )
+
+
+def _join_axes(first: Floats, second: Floats) -> Floats:
+    """(3, 3) axes as columns: along `first`, and `second` in the plane of the first two."""
+    x, z = first, np.cross(first, second)
+    axes = np.stack([x, np.cross(z, x), z], axis=1)
+    return np.asarray(axes / np.linalg.norm(axes, axis=0))
+
+
+def _make_recording(
+    measured: _Measured, samples: InertialSamples, start: float, rows: NDArray[np.intp]
+) -> Recording:
+    """Epochs after the start, with samples that are split at them."""
+    epochs = np.round(measured.time[rows] - start, 6)
+    ends = np.round(samples.time - start, 6)
+    imu_time = np.union1d(ends[(ends > 0.0) & (ends <= epochs[-1])], epochs)
+    during = np.searchsorted(ends, imu_time)
+    return Recording(
+        imu_time=imu_time,
+        specific_force_b=samples.specific_force_b[during],
+        angular_rate_b=samples.angular_rate_b[during],
+        gnss_time=epochs,
+        pseudorange=measured.pseudorange[rows],
+        range_rate=measured.range_rate[rows],
+        satellite_position_e=measured.position[rows],
+        satellite_velocity_e=measured.velocity[rows],
+    )
+
+
+def _list_variances(sd: Floats, factors: tuple[float, float]) -> Floats:
+    """(K, 2n) of the measurements, those of `NoiseModel` where the receiver says nothing."""
+    model, n = NoiseModel(), sd.shape[1] // 2
+    usual = np.repeat([model.pseudorange_sd, model.range_rate_sd], n)
+    believed = np.where(np.isfinite(sd) & (sd > 0.0), sd, usual)
+    return np.asarray((believed * np.repeat(factors, n)) ** 2)
