@@ -15,6 +15,7 @@ from ...core.registry import require
 from ...limits.bounds import ZeroAlarm
 from ...limits.log_replay import FEWEST_WINDOWS, RATE_LIMIT_MPS, LogReplay
 from ...receiver.log import InnovationLog
+from ..runs.record import MEASURES
 from ..scores.at_budget import AtBudget, score_at_budget
 from ..scores.statistics import BUDGET, LEVEL
 from .alarm_amplitude import ReplayRuns, trace_alarms
@@ -24,6 +25,7 @@ from .open_loop import JUDGED, LADDER, SHAPES, OpenLoopOptimizer, OpenLoopSearch
 
 PLAIN = ("ramp", "accelerating ramp")
 STEP, SEARCHED = "step", "open-loop"
+MOVED = MEASURES[0]
 UNITS = {
     "ramp": "m/s",
     STEP: "m",
@@ -176,7 +178,7 @@ def _score_step(backend: ReplayBackend, replay: LogReplay, budget: float) -> Fam
     stepped.replay = replay.copy_with_steps()
     metre = np.eye(backend.steps)[0] / replay.interval_s
     largest = backend.limits[0] * replay.attack_epochs * replay.interval_s
-    runs = ReplayRuns(stepped, [(metre, backend.rows)], (LADDER[0] * largest, largest))
+    runs = ReplayRuns(stepped, [(metre, backend.rows)], (LADDER[0] * backend.limits[0], largest))
     return _score(runs, STEP, budget)
 
 
