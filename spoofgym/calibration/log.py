@@ -19,6 +19,7 @@ from ..core.declared import check_number
 from ..core.registry import require
 from ..detectors import Calibrated, Detector, DetectorContext, make_detector
 from ..detectors.base import judge_epoch
+from ..detectors.calibrated import unwrap
 from ..detectors.calibration_file import (
     compute_min_runs,
     compute_rank,
@@ -94,7 +95,7 @@ def bind_to_log(
         Where it reads a signal or a field that the log does not have.
     """
     detector = make_detector(spec)
-    detector = getattr(detector, "detector", detector)  # without a world's thresholds
+    detector = unwrap(detector)  # without a world's thresholds
     label = label_spec(spec)
     lacking = missing_fields(log, detector.needs)
     require(

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import copy
 import math
+import time
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,7 @@ class LogReplay(LinearReplay):
         judge, _ = bind_to_log(detector, log)
         check_replayable(judge)
         live = self.epochs if live_s is None else round(live_s / self.interval_s)
-        self.live = max(live, judge.silent_epochs)
+        self.live = max(live, judge.silent_epochs) if starts is None else live
         self.starts = self.find_starts(self.live) if starts is None else starts
         self.runs = len(self.starts)
         require(
@@ -88,11 +89,15 @@ class LogReplay(LinearReplay):
         self.heading = np.full(self.runs, math.radians(heading_deg))
         judge, self._context = bind_to_log(detector, log, self.runs, factor)
         alarmed = np.zeros(self.runs, dtype=np.bool_)
-        self.threshold = np.ones(self.runs)
+        self.threshold, spent = np.ones(self.runs), 0.0
         for k in range(-self.live, 0):
-            verdict = self.judge(judge, log.gather_epoch(self.starts + k))
+            epoch = log.gather_epoch(self.starts + k)
+            now = time.process_time()
+            verdict = self.judge(judge, epoch)
+            spent += time.process_time() - now
             alarmed |= verdict.alarm.any(axis=1)
             self.threshold = verdict.threshold.mean(axis=1)
+        self.cost_us = 1e6 * spent / (self.live * self.runs)
         self.detectors, self.warmup_alarm = [judge], alarmed[None]
         stored: dict[str, list[NDArray[Any]]] = {name: [] for name in ALWAYS | self.needs}
         for k in range(self.epochs):
