@@ -121,6 +121,13 @@ class LogReplay(LinearReplay):
         span = self.log.time[starts + self.epochs - 1] - self.log.time[starts - live]
         return starts[span < (self.epochs + live) * self.interval_s]
 
+    @property
+    def known_s(self) -> FloatArray:
+        """(N,) time from the begin of the segment to each attack [s]."""
+        begins = np.flatnonzero(np.diff(self.log.segment, prepend=self.log.segment[0] - 1))
+        first = begins[np.searchsorted(begins, self.starts, side="right") - 1]
+        return (self.starts - first) * self.interval_s
+
     def _set_hats(self, hats: FloatArray, steps: bool = False) -> None:
         """Respond to (steps, Q) functions of the rate; `steps`: jumps of the position alone."""
         self.hats, self._units = hats, []

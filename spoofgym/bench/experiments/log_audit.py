@@ -224,8 +224,7 @@ class LogAudit(Experiment):
     def _probe_ages(self) -> AgeProbe:
         """Play the same ramps in the same windows, with the detector reset at several times."""
         whole, limit = self.panels[2].replay, self.of.alert_limit_m
-        first = np.searchsorted(self.of.log.segment, self.of.log.segment[whole.starts])
-        known_s = (whole.starts - first) * whole.interval_s
+        known_s = whole.known_s
         least = max(FEWEST_WINDOWS, whole.runs // 2)
         ages = [x for x in AGES_S if (known_s >= x).sum() >= least] or [float(known_s.min())]
         starts = whole.starts[known_s >= ages[-1]]
