@@ -126,7 +126,7 @@ class LogReplay(LinearReplay):
         """(N,) time from the begin of the segment to each attack [s]."""
         begins = np.flatnonzero(np.diff(self.log.segment, prepend=self.log.segment[0] - 1))
         first = begins[np.searchsorted(begins, self.starts, side="right") - 1]
-        return (self.starts - first) * self.interval_s
+        return np.asarray((self.starts - first) * self.interval_s)
 
     def _set_hats(self, hats: FloatArray, steps: bool = False) -> None:
         """Respond to (steps, Q) functions of the rate; `steps`: jumps of the position alone."""

@@ -172,8 +172,9 @@ class InnovationLog:
         for name in STATES:
             rows = getattr(self, name)
             require(
-                not rows or (len(set(rows)) == 3 and all(0 <= k < sizes.get("s", 0) for k in rows)),
-                f"`{name}` must be three different states of {sizes.get('s', 0)}, got {rows}",
+                not rows
+                or (len(set(rows)) == 3 and all(0 <= k < sizes.get("s", math.inf) for k in rows)),
+                f"`{name}` must be three different states of the filter, got {rows}",
             )
 
     @property

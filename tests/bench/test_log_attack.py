@@ -169,7 +169,7 @@ def test_an_audit_of_a_log_has_screen_and_report_of_the_others(own, tmp_path):
     assert record["ages"]["age_s"] == [30.0, 180.0, 600.0]
     ramps = next(x for x in record["families"] if x["family"] == "ramps")
     assert ramps["exceeded_m"]["0.5"]["value"] > 0.0
-    with pytest.raises(ValueError, match=r"need 361 windows .* it supports"):
+    with pytest.raises(ValueError, match=r"need 360 windows .* it supports"):
         auditor.prepare({**detector, "false_alarms_per_hour": 0.2})
 
 
