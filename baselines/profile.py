@@ -35,7 +35,6 @@ from spoofgym.bench.report.table import Table
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.runs.world import PLAIN_ID, World
 from spoofgym.bench.search.amplitude import TuningResult, search_work
-from spoofgym.bench.search.backends import get_rate_limits
 from spoofgym.bench.search.open_loop import SPLIT, OpenLoopSearch
 from spoofgym.cli import clear_errors
 from spoofgym.cli.app import print_json, progress
@@ -43,6 +42,7 @@ from spoofgym.cli.options import list_passed_options
 from spoofgym.core.registry import parse_spec, refuse_overrides
 from spoofgym.core.settings import describe
 from spoofgym.envs.context import spoofer_context
+from spoofgym.limits.linear import get_rate_limits
 from spoofgym.policies import SpooferCard
 from spoofgym.policies.card import DECIDED_ON, NAME, describe_context
 from spoofgym.simulation import Timeline

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from ..core.declared import check_number
 from ..core.registry import require
-from ..detectors import Detector, DetectorContext, make_detector
+from ..detectors import Calibrated, Detector, DetectorContext, make_detector
 from ..detectors.base import judge_epoch
+from ..detectors.calibrated import unwrap
 from ..detectors.calibration_file import (
     compute_min_runs,
     compute_rank,
@@ -83,8 +84,10 @@ def label_spec(spec: Any) -> str:
     return named if isinstance(named, str) else type(spec).__name__
 
 
-def bind_to_log(spec: Any, log: InnovationLog) -> Detector:
-    """Detector with its nominal thresholds in front of a log's receiver.
+def bind_to_log(
+    spec: Any, log: InnovationLog, receivers: int = 1, factor: float = 1.0
+) -> tuple[Detector, DetectorContext]:
+    """Detector in front of a log's receiver, or of copies of it; `factor` on its own thresholds.
 
     Raises
     ------
@@ -92,7 +95,7 @@ def bind_to_log(spec: Any, log: InnovationLog) -> Detector:
         Where it reads a signal or a field that the log does not have.
     """
     detector = make_detector(spec)
-    detector = getattr(detector, "detector", detector)  # without a world's thresholds
+    detector = unwrap(detector)  # without a world's thresholds
     label = label_spec(spec)
     lacking = missing_fields(log, detector.needs)
     require(
@@ -115,7 +118,7 @@ def bind_to_log(spec: Any, log: InnovationLog) -> Detector:
     scale = [float(np.median(x[has])) if has.any() else 1.0 for x, has in columns]
     n = len(log.channels)
     context = DetectorContext(
-        receivers=1,
+        receivers=receivers,
         channels=n,
         epoch_interval_s=log.interval_s,
         noise_variance=np.array(scale),
@@ -125,8 +128,9 @@ def bind_to_log(spec: Any, log: InnovationLog) -> Detector:
         not detector.needs_model,
         f"{label} runs a filter of its own, and a log has no model of the receiver's errors",
     )
+    detector = detector if factor == 1.0 else Calibrated(detector, factor)
     detector.bind(context)
-    return detector
+    return detector, context
 
 
 def _play(detector: Detector, log: InnovationLog, starts: NDArray[np.bool_]) -> FloatArray:
@@ -185,7 +189,7 @@ def judge_log(
     ValueError
         Where a detector needs what the log does not have, or the log is too short for the rate.
     """
-    bound = [bind_to_log(spec, log) for spec in detectors]
+    bound = [bind_to_log(spec, log)[0] for spec in detectors]
     number = cut_windows(log, window_s)
     count = int(number.max()) + 1
     rank = 0

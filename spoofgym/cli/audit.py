@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
+from ..core.registry import require
 from . import options as opt
 from .app import print_json, progress
 
@@ -47,6 +48,13 @@ def audit_(
             help="Runs that the attacks of a family are chosen on. Default: those of the budget.",
         ),
     ] = None,
+    log: Annotated[
+        Path | None,
+        Option(
+            help="Log of a receiver with the matrices of its filter, on whose clean windows it "
+            "plays in place of a task; thresholds are those of its own windows."
+        ),
+    ] = None,
     out: Annotated[Path, Option(help="Folder of finished parts and of the worst attacks.")] = Path(
         "results/audit"
     ),
@@ -72,14 +80,21 @@ def audit_(
     `spoofgym audit ewma:smoothing=0.2 --task D1 --task D2`.
     """
     from ..bench.experiments.audit import Auditor
+    from ..bench.experiments.log_audit import LogAuditor
     from ..bench.report.audit import print_audits
     from ..bench.report.detector_page import build_scores_page
     from ..bench.report.page import write_page
 
     (spec,), found, written = opt.parse_specs([detector]), [], []
+    tasks = ["D1"] if task is None else task
     sizes: Any = {"runs": runs, "selection_runs": selection_runs, "families": family or None}
     settings: Any = {**sizes, "entropy": seed, "threads": threads, "folder": out}
-    auditors = [Auditor(key, budget, **settings) for key in dict.fromkeys(task or ["D1"])]
+    auditors: list[Any] = [Auditor(key, budget, **settings) for key in dict.fromkeys(tasks)]
+    if log is not None:
+        for name, value in (("task", task), ("runs", runs), ("selection-runs", selection_runs)):
+            require(not value, f"--{name} does not go with --log, whose windows are the runs")
+        own = {name: settings[name] for name in ("families", "threads", "folder")}
+        auditors = [LogAuditor(log, budget, **own)]
     say = partial(typer.echo, err=True)
     for auditor in auditors:
         cells = auditor.prepare(spec, progress, say)

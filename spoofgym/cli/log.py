@@ -1,10 +1,10 @@
-"""Spoofgym log: innovations of anyone's receiver, checked and judged."""
+"""Spoofgym log: innovations of anyone's receiver, checked, judged and attacked."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from ..receiver.log import InnovationLog
 
 group = typer.Typer(
-    help="Innovations of a receiver's log: do they fit their variances, and what do detectors see?",
+    help="Innovations of a receiver's log: do they fit their variances, what do detectors see, and "
+    "what do they miss?",
     no_args_is_help=True,
 )
 File = Annotated[
@@ -34,9 +35,12 @@ def check_log(log: File, as_json: opt.Json = False) -> None:
     """Say how innovations fit their variances: mean square, whiteness, constant part, tails."""
     from ..bench.report.table import Table
     from ..receiver.log import InnovationLog
+    from ..receiver.log_noise import fit_noise_factors
 
     found = InnovationLog.load(log)
-    rows = [each._asdict() for each in found.check_signals()]
+    noise = {name: each._asdict() for name, each in fit_noise_factors(found).items()}
+    signals = found.check_signals()
+    rows = [{**each._asdict(), "noise": noise.get(each.signal)} for each in signals]
     remarks = found.list_remarks()
     about = {
         "epochs": len(found.time),
@@ -53,13 +57,26 @@ def check_log(log: File, as_json: opt.Json = False) -> None:
         ("signal", "signal"),
         ("innovations", "innovations"),
         ("square over variance", lambda r: f"{r['nis']:.3g} ({r['low']:.3g} to {r['high']:.3g})"),
-        ("factor on the sd", lambda r: f"{r['sd_factor']:.3g}"),
+        ("factor on the sd of S", lambda r: f"{r['sd_factor']:.3g}"),
+        ("on that of R", lambda r: _format_noise(r["noise"])),
         ("lag-1 correlation", lambda r: f"{r['lag1']:.2f}"),
         ("constant part [sd]", lambda r: f"{r['constant']:.2f}"),
         ("beyond 3 sd [%]", lambda r: f"{100.0 * r['beyond_3']:.2g}"),
         ("largest [sd]", lambda r: f"{r['largest']:.3g}"),
     ).print("innovations", rows)
+    if not noise:
+        print_lines(
+            ["No factor on R: that takes the filter's design, transition and predicted_cov."]
+        )
     print_lines(remarks)
+
+
+def _format_noise(noise: dict[str, float | None] | None) -> str:
+    if noise is None:
+        return "-"
+    factor, before, after = (noise[key] for key in ("factor", "nis", "mended"))
+    mended = "none" if factor is None else f"{factor:.3g}"
+    return f"{mended} (NIS {before:.2g} to {after:.2g})"
 
 
 @group.command("judge")
@@ -105,6 +122,94 @@ def judge_(
         print_lines(
             ["Thresholds are those of the detectors; no rate of false alarms is known here."]
         )
+
+
+@group.command("attack")
+@clear_errors
+def attack_(
+    log: File,
+    detector: Annotated[list[str], Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")],
+    false_alarms_per_hour: Annotated[
+        float | None,
+        Option(
+            help="Take thresholds from this log's own windows, for so many false alarms an hour. "
+            "Default: the thresholds that a detector has by itself."
+        ),
+    ] = None,
+    attack_s: Annotated[float, Option(help="Length of an attack, in seconds.")] = 150.0,
+    time_to_alert_s: Annotated[
+        float, Option(help="Time after it in which an alarm still counts, in seconds.")
+    ] = 10.0,
+    heading_deg: Annotated[
+        float, Option(help="Where the false position goes, clockwise from north.")
+    ] = 90.0,
+    rate_limit_mps: Annotated[float, Option(help="Largest rate of the false position.")] = 5.0,
+    out: Annotated[Path | None, Option("--out", "-o", help="Picture, .png, .svg or .pdf.")] = None,
+    threads: opt.Threads = None,
+    as_json: opt.Json = False,
+) -> None:
+    """Say what attacks reach unseen on a clean log's noise, by the linear response of its filter.
+
+    The log needs the matrices of its filter.  Constant and accelerating ramps, a step and an
+    optimized open-loop attack are played on its windows, each where the alarm budget allows it and
+    where half of the windows alarm.
+    """
+    from ..bench.report.figures import Dot, DotRow, dots_height, draw_dots, save_drawing
+    from ..bench.report.table import Table, interval
+    from ..bench.search.log_attack import MOVED, attack_log
+    from ..core.plots import check_picture
+    from ..receiver.log import InnovationLog
+
+    picture = None if out is None else check_picture(out)
+    settings: Any = {name: value for name, value in locals().items() if name in _ATTACK}
+    found = attack_log(
+        InnovationLog.load(log), opt.parse_specs(detector), false_alarms_per_hour, **settings
+    )
+    results = [{**x.as_json(), "detector": t} for t, x in zip(detector, found, strict=True)]
+    rows = [{**each, "detector": x["detector"]} for x in results for each in x["families"]]
+    if picture is not None:
+        lines: dict[str, list[Dot]] = {}
+        for row in rows:
+            series = f"{row['detector']}, {100.0 * row['budget']:.2g} % alarm"
+            lines.setdefault(row["family"], []).append(Dot(series, row[MOVED], not row["at_limit"]))
+        dots = [DotRow(family, own) for family, own in lines.items()]
+        draw = draw_dots(dots, "undetected displacement [m]")
+        save_drawing(draw, dots_height(dots), picture)
+    if as_json:
+        print_json(results)
+        return
+    for each in results:
+        print_lines(
+            [
+                f"{each['detector']}: {each['windows']} windows of {each['window_s']:g} s, "
+                f"{each['clean_alarms']} with an alarm before or without an attack, left out; "
+                f"factor on the threshold {each['factor']:.3g}"
+            ]
+        )
+    Table(
+        ("detector", "detector"),
+        ("attack", "family"),
+        ("windows that alarm [%]", lambda r: f"{100.0 * r['budget']:.2g}"),
+        ("amplitude", lambda r: f"{interval(r['amplitude'])} {r['unit']}{_mark_end(r)}"),
+        ("unseen displacement [m]", lambda r: interval(r[MOVED])),
+    ).print("what attacks reach", rows)
+    bounds = ((each["detector"], each["zero_alarm"]) for each in results)
+    print_lines(f"{name}: no attack without an alarm exceeds {_say(x)}" for name, x in bounds)
+    print_written([] if picture is None else [picture])
+
+
+_ATTACK = ("attack_s", "time_to_alert_s", "heading_deg", "rate_limit_mps", "threads")
+
+
+def _mark_end(row: dict[str, Any]) -> str:
+    return " (limit)" if row["at_limit"] else "" if row["within_range"] else " (or less)"
+
+
+def _say(bound: dict[str, Any]) -> str:
+    value = bound["restricted_m"]
+    if value is None:
+        return f"a distance that is not known: {bound['why']}"
+    return value if isinstance(value, str) else f"{value:.3g} m in the mean"
 
 
 @group.command("import")

@@ -267,13 +267,30 @@ def zero_alarm_bounds(
     tick: WorkCallback | None = None,
 ) -> ZeroAlarm:
     """Bounds of a detector whose factors are known; if absent, the result states why."""
-    advance = tick or (lambda part: None)
     inner = detector.detector if isinstance(detector, Calibrated) else detector
     if isinstance(inner, SolutionSeparation):
         return _separation(setup, detector, inner, cases)
     heading = get_heading(setup)
+    try:
+        timing = Timing.of(setup)
+    except ValueError as error:
+        return ZeroAlarm(None, None, "", str(error), [])
     direction = math.cos(heading), math.sin(heading)
-    at: dict[str, Any] = {"epoch": setup.steps - 1, "direction": direction}
+    runs = [case[:2] for case in cases]
+    return bound_displacement(detector, runs, timing, setup.steps - 1, direction, tick)
+
+
+def bound_displacement(
+    detector: Detector,
+    cases: Sequence[tuple[LinearRun, Attacker | None]],
+    timing: Timing,
+    epoch: int,
+    direction: tuple[float, float],
+    tick: WorkCallback | None = None,
+) -> ZeroAlarm:
+    """Bounds at an epoch along a direction, over filters that are recorded."""
+    advance = tick or (lambda part: None)
+    at: dict[str, Any] = {"epoch": epoch, "direction": direction}
 
     def bound(run: LinearRun, attacker: Attacker | None = None) -> Bound | str:
         try:
@@ -283,8 +300,7 @@ def zero_alarm_bounds(
 
     found: dict[str, list[Bound | str]] = {"free": [], "restricted": []}
     try:
-        timing = Timing.of(setup)
-        for run, attacker, _ in cases:
+        for run, attacker in cases:
             found["free"].append(bound(run))
             if attacker is not None:
                 found["restricted"].append(bound(run, attacker))

@@ -33,6 +33,7 @@ from ..detectors import Never
 from ..detectors.base import BoolArray, FloatArray
 from ..receiver.states import POSITION, STATES
 from ..simulation.monitors import Monitor
+from ..simulation.setup import Setup
 from ..simulation.simulator import FixedChoices, run_serially
 from ..simulation.tight import TightlyCoupledSetup, TightlyCoupledSimulator
 from ..truth.run import GroundTruth
@@ -71,6 +72,15 @@ class LinearRun(NamedTuple):
     visible: BoolArray
     axes: FloatArray
     onset: int = 0
+
+
+def get_rate_limits(setup: Setup) -> tuple[float, float]:
+    """Largest rate, and its largest change between two decisions [m/s]."""
+    attack = setup.attack
+    largest = float(np.min(attack.rate_limit_mps))
+    if attack.control == "rate":
+        return largest, math.inf
+    return largest, attack.acceleration_limit_mps2 * setup.interval_s * setup.repeat
 
 
 class Response(NamedTuple):

@@ -24,8 +24,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..detectors import Detector, PooledDetector, SolutionSeparation, Verdict
-from ..detectors.base import FloatArray, IntArray, check_needs, judge_epoch
+from ..detectors import Detector, DetectorContext, PooledDetector, SolutionSeparation, Verdict
+from ..detectors.base import BoolArray, FloatArray, IntArray, check_needs, judge_epoch
 from ..detectors.calibrated import unwrap
 from ..receiver.epoch import ALWAYS, Epoch
 from ..simulation._kernels import turn
@@ -33,7 +33,16 @@ from ..simulation.engine import available_threads
 from ..simulation.monitors import Monitored, PassiveDetectors
 from ..simulation.setup import make_generators
 from ..simulation.tight import TightlyCoupledSetup
-from .linear import hat_functions, observer, record, respond, unit_commands, unused_seed
+from .linear import (
+    LinearRun,
+    get_rate_limits,
+    hat_functions,
+    observer,
+    record,
+    respond,
+    unit_commands,
+    unused_seed,
+)
 
 HATS = 40  # hat functions of the rate by which the response is known, over the attack window
 UNKNOWN_RESPONSES = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
@@ -86,7 +95,7 @@ def check_replayable(detector: Detector) -> None:
         )
 
 
-def _judge(detector: Detector, epoch: Epoch) -> Verdict:
+def judge_passive(detector: Detector, epoch: Epoch) -> Verdict:
     verdict = judge_epoch(detector, epoch)
     if verdict.weights is not None:
         raise NotReplayable(
@@ -101,120 +110,50 @@ class _Watch(PassiveDetectors):
 
     def update(self, simulator: Monitored) -> None:
         for k, detector in enumerate(self.detectors):
-            self.memory["alarmed"][:, k] |= _judge(detector, simulator.epoch).alarm.any(axis=1)
+            self.memory["alarmed"][:, k] |= judge_passive(detector, simulator.epoch).alarm.any(
+                axis=1
+            )
 
 
-class Replay:
-    """Clean runs of a world, and the responses of their filters.
+class LinearReplay:
+    """Clean runs, and the responses of their filters to hat functions of the rate.
 
-    Parameters
-    ----------
-    setup : TightlyCoupledSetup
-        World, attack, timeline and target direction; its detector is not used.
-    detectors : sequence of Detector
-        Passive ones, in one list so that they share the runs; copied.
-    seeds : sequence of SeedSequence
-        Of the runs.
-    threads : int, optional
-        That judge attacks; all useful cores by default.
-    given : mapping, optional
-        Circumstances that are not to be drawn, as of a reset, one value a run.
+    A subclass sets what they are:
 
-    Attributes
-    ----------
-    runs, epochs : int
-        N, and K, from the onset to the end of the time to alert.
-    warmup_alarm, twin_alarm : ndarray
-        (D, N) bool, alarms before the onset, and epoch of the first alarm after it, without attack.
-
-    Raises
-    ------
-    NotReplayable
-        When a detector de-weights, or looks at what is not linear.
+    - `detectors` (D,) passive ones, with their memory at the onset; `needs` fields that they read;
+      `warmup_alarm` (D, N) alarms before it;
+    - `runs` N, `epochs` K from the onset to the end of the time to alert, of which the first
+      `attack_epochs` have `steps` decisions; `limits` of the rate and of its change between them;
+    - `heading` (N,) of the false position [rad]; `hats` (steps, Q); `group` (N,) of runs that share
+      a response in `_units`; `_epochs` fields of (N, ...) by name, one for each epoch.
     """
 
-    def __init__(
-        self,
-        setup: TightlyCoupledSetup,
-        detectors: Sequence[Detector],
-        seeds: Sequence[np.random.SeedSequence],
-        *,
-        threads: int | None = None,
-        given: Mapping[str, Sequence[Any]] | None = None,
-    ) -> None:
-        self.setup, self.runs, self.given = setup, len(seeds), given or {}
-        self._banks: dict[tuple[int, bytes], LinearBank] = {}
-        self.threads = available_threads(10**9) if threads is None else threads
-        for each in detectors:
-            check_replayable(each)
-        self.needs = frozenset().union(*map(check_needs, detectors))
-        self._record(detectors, seeds)
-        self._respond(seeds)
+    detectors: Sequence[Detector]
+    needs: frozenset[str]
+    warmup_alarm: BoolArray
+    runs: int
+    epochs: int
+    attack_epochs: int
+    steps: int
+    limits: tuple[float, float]
+    heading: FloatArray
+    hats: FloatArray
+    group: IntArray
+    threads: int
+    judge = staticmethod(judge_passive)
+    _context: DetectorContext
+    _epochs: Mapping[str, Sequence[NDArray[Any]]]
+    _banks: dict[tuple[int, bytes], LinearBank]
+    _units: list[dict[str, NDArray[np.float32]]]
 
-    def _record(
-        self, detectors: Sequence[Detector], seeds: Sequence[np.random.SeedSequence]
-    ) -> None:
-        simulator = observer(self.setup, self.runs, self.needs, [_Watch(detectors)])
-        world = simulator.setup
-        simulator.warm_up(make_generators(seeds), self.given)
-        self._context = simulator._context()
-        watch = simulator.monitor(_Watch)
-        self.detectors, self.warmup_alarm = watch.detectors, watch.memory["alarmed"].T.copy()
-        self.onset, self.heading = simulator.onset.copy(), simulator.heading.copy()
-        self.first = simulator.memory["first"].copy()
-        self.sky = self.onset // world.epochs_each
-        self._combination = simulator.memory["combination"].copy()
-        stored: dict[str, list[NDArray[Any]]] = {}
-        idle = simulator.advance if world.attack.idle_is_clean else lambda: simulator.predict(None)
-        for _ in range(world.steps + world.hold):
-            epoch = idle()
-            for name, array in epoch._asdict().items():
-                if array is not None:
-                    dtype = np.float32 if name in MATRICES else array.dtype
-                    stored.setdefault(name, []).append(np.array(array, dtype=dtype))
-            simulator.update(None)
-        self._epochs, self.epochs = stored, len(stored["time"])
-
-    def _respond(self, seeds: Sequence[np.random.SeedSequence]) -> None:
-        """Responses to hat functions of the rate, once for all runs of a sky, start, age, sensors
-        and view."""
-        views: dict[bytes, int] = {}
-        seen = np.array(self._epochs["visible"]).transpose(1, 0, 2)
-        circumstances = zip(self.first, self.onset, self._combination, seen, strict=True)
-        keys = [b"".join(part.tobytes() for part in each) for each in circumstances]
-        self.group = np.array([views.setdefault(key, len(views)) for key in keys])
-        ones = [int(np.flatnonzero(self.group == g)[0]) for g in range(len(views))]
-        self.hats = hat_functions(self.setup.steps // self.setup.repeat, HATS)
-        self._units: list[dict[str, FloatArray]] = []
-        for at in range(0, len(ones), RUNS_AT_ONCE):
-            part = ones[at : at + RUNS_AT_ONCE]
-            again = make_generators([unused_seed(seeds[b]) for b in part])
-            given = {name: [values[b] for b in part] for name, values in self.given.items()}
-            for b, run in zip(part, record(self.setup, again, given), strict=True):
-                offsets = self._offsets(int(self.onset[b])) * np.tile(run.visible, 2)[:, :, None]
-                found = respond(run, offsets)._asdict()
-                found["position"] = found["position"][:, :2]
-                if self.needs & {"pseudorange", "range_rate"}:
-                    found["offset"] = offsets
-                self._units.append(
-                    {name: array.astype(np.float32) for name, array in found.items()}
-                )
-
-    def _offsets(self, onset: int) -> FloatArray:
-        """(K, m, 2 Q) offsets of the measurements by hat function, those north first."""
-        commands = unit_commands(self.setup, onset)
-        if commands.heading is None or not np.array_equal(commands.heading, np.eye(2)):
-            raise NotReplayable(
-                "the replay moves a false position north and east, and "
-                f"{self.setup.attack.label!r} commands {', '.join(self.setup.action_names)}"
-            )
-        if np.any(commands.idle):
-            raise NotReplayable(
-                f"{self.setup.attack.label!r} changes the measurements without a command"
-            )
-        each = commands.offsets.reshape(*commands.offsets.shape[:2], commands.decisions, 2)
-        parts = [each[:, :, :, axis] @ self.hats for axis in (0, 1)]
-        return np.concatenate(parts, axis=2)
+    def _add_unit(self, run: LinearRun, offsets: FloatArray) -> None:
+        """Add the response of one run to (K, m, 2 Q) `offsets` by hat function, those north
+        first."""
+        found = respond(run, offsets)._asdict()
+        found["position"] = found["position"][:, :2]
+        if self.needs & {"pseudorange", "range_rate"}:
+            found["offset"] = offsets
+        self._units.append({name: array.astype(np.float32) for name, array in found.items()})
 
     def _coefficients(self, rates: FloatArray) -> FloatArray:
         """(Q, P) of the hat functions that come nearest to rates."""
@@ -225,47 +164,61 @@ class Replay:
         return isinstance(unwrap(self.detectors[number]), SolutionSeparation)
 
     def play(
-        self, number: int, rates: FloatArray, *, rows: NDArray[np.intp] | None = None
+        self,
+        number: int,
+        rates: FloatArray,
+        *,
+        rows: NDArray[np.intp] | None = None,
+        scale: FloatArray | float = 1.0,
     ) -> Replayed:
         """Let one of the detectors judge P attacks on some runs, all by default. `rates` (P,
-        decisions) along each run's target direction [m/s]."""
+        decisions) along each run's target direction [m/s]; `scale`: a factor on them for each
+        run."""
         rows = np.arange(self.runs) if rows is None else rows
+        each = np.broadcast_to(np.asarray(scale, dtype=np.float64), rows.shape)
         one = self._play_bank if self.sums(number) else self._play
         if self.sums(number):
             self._bank(number)  # once, before threads use it
         parts = np.array_split(rates, min(self.threads, len(rates)))
         if len(parts) == 1:
-            return one(number, rates, rows)
+            return one(number, rates, rows, each)
         with ThreadPoolExecutor(len(parts)) as pool:
-            found = list(pool.map(lambda part: one(number, part, rows), parts))
+            found = list(pool.map(lambda part: one(number, part, rows, each), parts))
         return Replayed(
-            np.concatenate([each.first_alarm for each in found]),
-            np.concatenate([each.peak for each in found]),
-            np.concatenate([each.error for each in found], axis=1),
+            np.concatenate([part.first_alarm for part in found]),
+            np.concatenate([part.peak for part in found]),
+            np.concatenate([part.error for part in found], axis=1),
         )
 
-    def _play(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> Replayed:
+    def _play(
+        self, number: int, rates: FloatArray, rows: NDArray[np.intp], scale: FloatArray
+    ) -> Replayed:
         moved, error = self.compute_shifts(rates, rows, check_needs(self.detectors[number]))
+        if not np.all(scale == 1.0):
+            moved = {name: array * scale[:, None] for name, array in moved.items()}
         first = np.zeros(len(rates) * len(rows), dtype=np.int64)
         peak = np.zeros(len(first))
         for k, (_, verdict) in enumerate(self._judge_epochs(number, moved, rows, len(rates))):
             np.maximum(peak, (verdict.statistic / verdict.threshold).max(axis=1), out=peak)
             first[verdict.alarm.any(axis=1) & (first == 0)] = k + 1
         shape = len(rates), len(rows)
-        return Replayed(first.reshape(shape), peak.reshape(shape), error)
+        return Replayed(first.reshape(shape), peak.reshape(shape), error * scale)
 
-    def _play_bank(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> Replayed:
+    def _play_bank(
+        self, number: int, rates: FloatArray, rows: NDArray[np.intp], scale: FloatArray
+    ) -> Replayed:
         bank, u = self._bank(number), self._coefficients(rates).astype(np.float32)
         shape = len(rates), len(rows)
         first, peak = np.zeros(shape, dtype=np.int64), np.zeros(shape)
         for at, row in enumerate(rows.tolist()):
             clean = bank.clean[row]
-            moved = (bank.units[bank.group[row]] @ u).reshape(*clean.shape, len(rates))
+            own = u * np.float32(scale[at])
+            moved = (bank.units[bank.group[row]] @ own).reshape(*clean.shape, len(rates))
             ratio = np.square(moved + clean[..., None]).sum(axis=2).max(axis=1)  # (K, P)
             peak[:, at] = ratio.max(axis=0)
             above = ratio > 1.0
             first[:, at] = np.where(above.any(axis=0), above.argmax(axis=0) + 1, 0)
-        return Replayed(first, peak, self.errors(rates, rows))
+        return Replayed(first, peak, self.errors(rates, rows) * scale)
 
     def _bank(self, number: int) -> LinearBank:
         key = number, self.heading.tobytes()
@@ -369,4 +322,113 @@ class Replay:
                 else:
                     out[:] = array
                 arrays[name] = out.reshape(-1, *array.shape[1:])
-            yield detector, _judge(detector, Epoch(**arrays))
+            yield detector, self.judge(detector, Epoch(**arrays))
+
+
+class Replay(LinearReplay):
+    """Clean runs of a world, and the responses of their filters.
+
+    Parameters
+    ----------
+    setup : TightlyCoupledSetup
+        World, attack, timeline and target direction; its detector is not used.
+    detectors : sequence of Detector
+        Passive ones, in one list so that they share the runs; copied.
+    seeds : sequence of SeedSequence
+        Of the runs.
+    threads : int, optional
+        That judge attacks; all useful cores by default.
+    given : mapping, optional
+        Circumstances that are not to be drawn, as of a reset, one value a run.
+
+    Attributes
+    ----------
+    runs, epochs : int
+        N, and K, from the onset to the end of the time to alert.
+    warmup_alarm, twin_alarm : ndarray
+        (D, N) bool, alarms before the onset, and epoch of the first alarm after it, without attack.
+
+    Raises
+    ------
+    NotReplayable
+        When a detector de-weights, or looks at what is not linear.
+    """
+
+    def __init__(
+        self,
+        setup: TightlyCoupledSetup,
+        detectors: Sequence[Detector],
+        seeds: Sequence[np.random.SeedSequence],
+        *,
+        threads: int | None = None,
+        given: Mapping[str, Sequence[Any]] | None = None,
+    ) -> None:
+        self.setup, self.runs, self.given = setup, len(seeds), given or {}
+        self.steps, self.limits = setup.steps // setup.repeat, get_rate_limits(setup)
+        self.attack_epochs = setup.steps
+        self._banks = {}
+        self.threads = available_threads(10**9) if threads is None else threads
+        for each in detectors:
+            check_replayable(each)
+        self.needs = frozenset().union(*map(check_needs, detectors))
+        self._record(detectors, seeds)
+        self._respond(seeds)
+
+    def _record(
+        self, detectors: Sequence[Detector], seeds: Sequence[np.random.SeedSequence]
+    ) -> None:
+        simulator = observer(self.setup, self.runs, self.needs, [_Watch(detectors)])
+        world = simulator.setup
+        simulator.warm_up(make_generators(seeds), self.given)
+        self._context = simulator._context()
+        watch = simulator.monitor(_Watch)
+        self.detectors, self.warmup_alarm = watch.detectors, watch.memory["alarmed"].T.copy()
+        self.onset, self.heading = simulator.onset.copy(), simulator.heading.copy()
+        self.first = simulator.memory["first"].copy()
+        self.sky = self.onset // world.epochs_each
+        self._combination = simulator.memory["combination"].copy()
+        stored: dict[str, list[NDArray[Any]]] = {}
+        idle = simulator.advance if world.attack.idle_is_clean else lambda: simulator.predict(None)
+        for _ in range(world.steps + world.hold):
+            epoch = idle()
+            for name, array in epoch._asdict().items():
+                if array is not None:
+                    dtype = np.float32 if name in MATRICES else array.dtype
+                    stored.setdefault(name, []).append(np.array(array, dtype=dtype))
+            simulator.update(None)
+        self._epochs, self.epochs = stored, len(stored["time"])
+
+    def _respond(self, seeds: Sequence[np.random.SeedSequence]) -> None:
+        """Responses to hat functions of the rate, once for all runs of a sky, start, age, sensors
+        and view."""
+        views: dict[bytes, int] = {}
+        seen = np.array(self._epochs["visible"]).transpose(1, 0, 2)
+        circumstances = zip(self.first, self.onset, self._combination, seen, strict=True)
+        keys = [b"".join(part.tobytes() for part in each) for each in circumstances]
+        self.group = np.array([views.setdefault(key, len(views)) for key in keys])
+        ones = [int(np.flatnonzero(self.group == g)[0]) for g in range(len(views))]
+        self.hats = hat_functions(self.steps, HATS)
+        self._units = []
+        for at in range(0, len(ones), RUNS_AT_ONCE):
+            part = ones[at : at + RUNS_AT_ONCE]
+            again = make_generators([unused_seed(seeds[b]) for b in part])
+            given = {name: [values[b] for b in part] for name, values in self.given.items()}
+            for b, run in zip(part, record(self.setup, again, given), strict=True):
+                offsets = self._offsets(int(self.onset[b])) * np.tile(run.visible, 2)[:, :, None]
+                self._add_unit(run, offsets)
+
+    def _offsets(self, onset: int) -> FloatArray:
+        """(K, m, 2 Q) offsets of the measurements by hat function, those north first."""
+        commands = unit_commands(self.setup, onset)
+        if commands.heading is None or not np.array_equal(commands.heading, np.eye(2)):
+            raise NotReplayable(
+                "the replay moves a false position north and east, and "
+                f"{self.setup.attack.label!r} commands {', '.join(self.setup.action_names)}"
+            )
+        if np.any(commands.idle):
+            raise NotReplayable(
+                f"{self.setup.attack.label!r} changes the measurements without a command"
+            )
+        each = commands.offsets.reshape(*commands.offsets.shape[:2], commands.decisions, 2)
+        parts = [each[:, :, :, axis] @ self.hats for axis in (0, 1)]
+        return np.concatenate(parts, axis=2)

@@ -17,6 +17,7 @@ import math
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 from ..core.files import whole_file
 from ..core.reading import Archive, parse_array, parse_json, read_table
 from ..core.registry import check_choice, require
+from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from .epoch import FILTER, OPTIONAL, Epoch
 
 if TYPE_CHECKING:
@@ -38,7 +40,19 @@ PAIRS = (("pseudorange", "range_rate"), ("position", "velocity"))
 """Signals of satellites and of positions, a length [m] and its rate [m/s]."""
 COLUMNS = ("time_s", "channel", "signal", "innovation", "variance")
 MATRICES = ("time", "innovation", "innovation_cov", "channels", "signals")
-"""What a file of matrices must hold; `segment`, `about` and `FILTER` may be there, too."""
+"""What a file of matrices must hold; `segment`, `about`, `MORE` and `STATES` may be there, too."""
+MORE = {
+    "predicted_cov": "ss",
+    "design": "ms",
+    "transition": "ss",
+    "imu_delta": "6",
+    "gain": "sm",
+    "axes": "33",
+}
+"""What else an epoch may have, with the sizes of its axes: m innovations, s states."""
+STATES = "position", "velocity"  # names of what says which states are the position's error, ...
+FIRST_ORDER = "first order"
+"""What `about` has for ``transition`` where a filter propagates so, but its errors do not."""
 MOST_CHANNELS = 128
 MOST_ELEMENTS = 2**27  # of all covariances, 1 GiB
 
@@ -86,7 +100,12 @@ class InnovationLog:
     segment : ndarray
         (K,) int, a number for every stretch that one filter ran through.
     more : mapping
-        Fields of an `Epoch` by name that the filter's model needs (`FILTER`), (K, ...) each.
+        Matrices of the filter by name, `MORE`: ``design`` (K, 2n, s) H, by which an error of the
+        estimate shifts the innovations; ``transition`` (K, s, s) from the epoch before;
+        ``predicted_cov`` (K, s, s) or ``gain`` (K, s, 2n); ``axes`` (K, 3, 3) from north, east,
+        down to those of the position, by default as they are; ``imu_delta`` (K, 6).
+    position, velocity : tuple of int
+        (3,) which of the states are errors of these; empty where that is not known.
     about : mapping
         Where it comes from, JSON-able.
 
@@ -104,6 +123,8 @@ class InnovationLog:
     segment: NDArray[np.int64]
     more: Mapping[str, FloatArray] = field(default_factory=dict)
     about: Mapping[str, Any] = field(default_factory=dict)
+    position: tuple[int, ...] = ()
+    velocity: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         count, m = len(self.time), 2 * len(self.channels)
@@ -135,9 +156,21 @@ class InnovationLog:
                 f"variances must be positive, got {variance[k, row]:g} at {self.time[k]:g} s of "
                 f"{self.channels[row % len(self.channels)]}"
             )
+        sizes = {"m": m}
         for name, array in self.more.items():
-            check_choice("field of a filter", name, FILTER)
-            require(len(array) == count, f"`{name}` must have {count} rows, got {len(array)}")
+            check_choice("matrix of a filter", name, MORE)
+            if "s" in MORE[name] and array.ndim == 3:
+                sizes.setdefault("s", array.shape[1 + MORE[name].index("s")])
+            shape = (count, *(sizes[x] if x in sizes else int(x) for x in MORE[name]))
+            require(array.shape == shape, f"`{name}` must have shape {shape}, got {array.shape}")
+            require(np.isfinite(array).all(), f"`{name}` must be finite")
+        for name in STATES:
+            rows = getattr(self, name)
+            require(
+                not rows
+                or (len(set(rows)) == 3 and all(0 <= k < sizes.get("s", math.inf) for k in rows)),
+                f"`{name}` must be three different states of the filter, got {rows}",
+            )
 
     @property
     def variance(self) -> FloatArray:
@@ -150,7 +183,7 @@ class InnovationLog:
         halves = np.split(np.isfinite(self.innovation), 2, axis=1)
         return tuple(name for name, x in zip(self.signals, halves, strict=True) if x.any())
 
-    @property
+    @cached_property
     def visible(self) -> NDArray[np.bool_]:
         """(K, n) channels that have all signals of the log at an epoch."""
         length, rate = np.split(np.isfinite(self.innovation), 2, axis=1)
@@ -169,26 +202,38 @@ class InnovationLog:
         """Time in all segments [s]."""
         return float(np.diff(self.time)[np.diff(self.segment) == 0].sum())
 
-    def epochs(self) -> Iterator[Epoch]:
-        """Every epoch as a detector takes it, of one receiver; absent channels are invisible."""
-        n, visible = len(self.channels), self.visible
-        rows = np.concatenate([visible, visible], axis=1) & np.isfinite(self.innovation)
+    @cached_property
+    def steps_s(self) -> FloatArray:
+        """(K,) time since the epoch before [s]."""
         steps = np.diff(self.time, prepend=self.time[0] - self.interval_s)
         steps[np.diff(self.segment, prepend=self.segment[0]) != 0] = self.interval_s
-        nowhere = np.zeros((1, 3))
-        for k, here in enumerate(rows):
-            S = np.where(here[:, None] & here, self.innovation_cov[k], np.eye(2 * n))
-            yield Epoch(
-                time=self.time[k : k + 1],
-                interval=steps[k : k + 1],
-                innovation=np.where(here, self.innovation[k], 0.0)[None],
-                innovation_variance=np.diagonal(S).copy()[None],
-                visible=visible[k : k + 1],
-                predicted_position=nowhere,
-                predicted_velocity=nowhere,
-                innovation_cov=S[None],
-                **{name: array[k : k + 1] for name, array in self.more.items()},
-            )
+        return steps
+
+    @cached_property
+    def judged(self) -> NDArray[np.bool_]:
+        """(K, 2n) innovations of visible channels."""
+        return np.tile(self.visible, 2) & np.isfinite(self.innovation)
+
+    def epochs(self) -> Iterator[Epoch]:
+        """Every epoch as a detector takes it, of one receiver; absent channels are invisible."""
+        return (self.gather_epoch(slice(k, k + 1)) for k in range(len(self.time)))
+
+    def gather_epoch(self, rows: slice | NDArray[np.intp]) -> Epoch:
+        """Epoch of as many receivers as there are rows, each at its own."""
+        here, identity = self.judged[rows], np.eye(self.innovation.shape[1])
+        S = np.where(here[:, :, None] & here[:, None], self.innovation_cov[rows], identity)
+        nowhere = np.zeros((len(here), 3))
+        return Epoch(
+            time=self.time[rows],
+            interval=self.steps_s[rows],
+            innovation=np.where(here, self.innovation[rows], 0.0),
+            innovation_variance=np.diagonal(S, axis1=1, axis2=2).copy(),
+            visible=self.visible[rows],
+            predicted_position=nowhere,
+            predicted_velocity=nowhere,
+            innovation_cov=S,
+            **{name: array[rows] for name, array in self.more.items() if name in FILTER},
+        )
 
     def check_signals(self) -> list[SignalCheck]:
         """How the innovations of every signal fit their variances."""
@@ -285,14 +330,17 @@ class InnovationLog:
     def from_replay(cls, solution: Solution) -> InnovationLog:
         """Log of a replayed receiver."""
         seen = np.concatenate([solution.visible, solution.visible], axis=1)
+        latitude, longitude, _ = ecef_to_geodetic(solution.position_e)
         return cls(
             time=solution.time,
             innovation=np.where(seen, solution.innovation, np.nan),
             innovation_cov=solution.innovation_cov,
             channels=tuple(f"C{k + 1:02d}" for k in range(solution.visible.shape[1])),
             segment=np.zeros(len(solution.time), dtype=np.int64),
-            more=solution.filter_fields,
-            about={"from": "replay"},
+            more={**solution.filter_fields, "axes": dcm_e_from_n(latitude, longitude)},
+            about={"from": "replay", "transition": FIRST_ORDER},
+            position=(6, 7, 8),
+            velocity=(3, 4, 5),
         )
 
     def save(self, path: str | Path) -> Path:
@@ -307,6 +355,7 @@ class InnovationLog:
                     **{name: getattr(self, name) for name in (*MATRICES[:3], "segment")},
                     **{name: np.array(getattr(self, name)) for name in MATRICES[3:]},
                     "about": np.array(json.dumps(dict(self.about))),
+                    **{name: np.array(getattr(self, name), dtype=np.int64) for name in STATES},
                     **self.more,
                 }
                 np.savez_compressed(file, **arrays)
@@ -412,7 +461,7 @@ def _check_pair(signals: tuple[str, ...]) -> None:
 def _read_matrices(path: Path) -> InnovationLog:
     with Archive(path) as archive:
         members = {name.removesuffix(".npy"): name for name in archive.namelist()}
-        wanted = (*MATRICES, *FILTER, "segment", "about")
+        wanted = (*MATRICES, *MORE, *STATES, "segment", "about")
         found = {x: parse_array(archive.read(members[x])) for x in wanted if x in members}
     missing = [name for name in MATRICES if name not in found]
     require(not missing, f"missing arrays: {', '.join(missing)}; needed: {', '.join(MATRICES)}")
@@ -422,7 +471,7 @@ def _read_matrices(path: Path) -> InnovationLog:
     _check_pair(signals)
     numbers = {
         name: np.ascontiguousarray(found[name], dtype=np.float64)
-        for name in (*MATRICES[:3], *FILTER)
+        for name in (*MATRICES[:3], *MORE)
         if name in found
     }
     time = numbers.pop("time")
@@ -436,6 +485,10 @@ def _read_matrices(path: Path) -> InnovationLog:
         segment=segment.astype(np.int64),
         more=numbers,
         about=parse_json(str(found["about"]), "`about`") if "about" in found else {},
+        **{
+            name: tuple(np.ravel(found[name]).astype(int).tolist())
+            for name in {*STATES} & found.keys()
+        },
     )
 
 
@@ -443,3 +496,13 @@ def missing_fields(log: InnovationLog, needs: frozenset[str]) -> list[str]:
     """Fields of an epoch that a detector needs and a log does not have."""
     has = {"innovation_cov", *log.more}
     return sorted(needs & set(OPTIONAL) - has)
+
+
+def missing_matrices(log: InnovationLog) -> list[str]:
+    """What an attack on a log needs and the log does not have."""
+    names = ["design", "transition", "position"]
+    names += ["velocity"] if log.signals[1] in log.present_signals else []
+    names += ["axes"] if log.signals == PAIRS[0] else []
+    has = {*log.more, *(name for name in STATES if getattr(log, name))}
+    absent = [name for name in names if name not in has]
+    return absent + ([] if {"gain", "predicted_cov"} & has else ["gain or predicted_cov"])

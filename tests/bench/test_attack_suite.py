@@ -77,7 +77,7 @@ class FakePanel:
     def __init__(self):
         run = np.arange(RUNS)
         self.counts, self.sky = (run % 10 > 1)[:, None], run % 12
-        self.setup = World().setup
+        self.context = spoofer_context(World().setup)
 
     def play(self, attacks, **_):
         return [attack for attack, _ in attacks]

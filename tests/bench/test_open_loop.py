@@ -18,6 +18,7 @@ from spoofgym.bench.search.open_loop import AIMS, HazardOptimizer, OpenLoopOptim
 from spoofgym.detectors import detector_in_world
 from spoofgym.envs.factory import make_setup
 from spoofgym.limits import Replay
+from spoofgym.limits.linear import get_rate_limits
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.setup import make_generators, seed_sequences
 
@@ -233,7 +234,7 @@ def test_replay_engine_and_spoofer_agree(heading_deg, settings):
 def test_attacks_on_single_channels_are_commanded_as_scripted_spoofers_do():
     setup = make_setup(TightlyCoupledSetup, {"detector": "never", "attack": "per-channel"})
     assert (backends.compute_unit_commands(setup, 90.0, np.zeros(3)) == 1.0).all()
-    assert backends.get_rate_limits(setup) == (5.0, 0.05 * setup.interval_s)
+    assert get_rate_limits(setup) == (5.0, 0.05 * setup.interval_s)
 
 
 def blind_suite(**changes):

@@ -78,6 +78,7 @@ SMALLER: dict[str, tuple[str | None, str]] = {
         None,
         "a calibration; tests/bench/test_audit.py has one like it",
     ),
+    r"spoofgym audit .* --log ": ("--family ramps", "a minute"),
     r"spoofgym audit ": (AUDIT, "a minute to ten, and a calibration"),
 }
 """How commands begin that would take more than some ten minutes or can't run here; with what

@@ -30,6 +30,7 @@ from ...detectors.build import bare_detector
 from ...detectors.calibrated import calibrated_parts, list_factors, resolve_thresholds, unwrap
 from ...detectors.isolated import isolate
 from ...envs.context import spoofer_context
+from ...receiver.log import InnovationLog
 from ...simulation.setup import Setup
 from ...simulation.simulator import weighs
 from ...tasks import (
@@ -70,60 +71,40 @@ from ..search.attack_suite import (
 )
 from ..search.bounds import DisplacementBounds, expect_onset
 from ..search.open_loop import AIMS, OpenLoopSearch, Optima
+from .audit_sizes import (
+    AGAIN,
+    AGES,
+    AGES_S,
+    ALIKE,
+    BUDGETS,
+    FALSE_ALARMS,
+    FLOOR,
+    LIVE_AFTER_S,
+    RAMPS,
+    SEARCHED,
+    AuditBudget,
+)
 from .calibration import calibrate_players
+from .log_audit import LogAuditor
 from .runner import Context, Experiment, run_experiment
 from .store import Cell, MemoryStore, Reader, Result, Store
 from .suite import DETECTOR_FILE, stored_cards
 from .training_attacks import QUIET_TASKS
 
-
-class AuditBudget(NamedTuple):
-    """Size of an audit.
-
-    - `runs`: evaluation runs of every family; `selection_runs`: those that its attacks are chosen
-      on; `search`: of profiles against the detector;
-    - `twins`: runs of every age; `ages`: how many of `AGES_S`;
-    - `floor_worlds`: worlds of the floor where none is stored, None for all, 0 for no floor.
-    """
-
-    runs: int
-    selection_runs: int
-    search: OpenLoopSearch
-    twins: int
-    ages: int
-    floor_worlds: int | None
-
-
-BUDGETS = {
-    "quick": AuditBudget(40, 24, OpenLoopSearch(runs=96, batch=24, generations=6), 16, 4, 0),
-    "standard": AuditBudget(400, 96, OpenLoopSearch(runs=256), 64, 5, 4),
-    "full": AuditBudget(1500, 384, OpenLoopSearch(), 192, 5, None),
-}
-"""Sizes by their names: about 1, 3 and 12 minutes of a processor for a plain detector in D1."""
 SIFTED = 4
 """Part of the selection that sifts, as one in so many."""
 SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
 """Profiles of the letter c."""
-SEARCHED = "o"
-"""Letter of a family whose profiles are looked for against each detector."""
 SEARCH_PLAYS = 4000.0
 """Runs that take about as long as a search for profiles."""
 CACHED_PANELS = 24
 """Panels that are held in memory, the youngest ones."""
 NEAR_ALARM = "chance-alarm"
 """Onset of which every detector has its own runs."""
-AGES_S, LIVE_AFTER_S = (30.0, 180.0, 600.0, 1800.0, 5400.0), 10.0
-"""From switch-on to the onsets at which a detector meets the same ramps, and until it is live."""
-RAMPS = (0.6, 1.2, 2.4, 4.8, 9.6)
-"""How far these ramps displace by the end of the attack, in parts of the alert limit."""
 ENTROPY = "entropy"
 """File of a folder: the entropy that was drawn for its runs."""
-FALSE_ALARMS, AGES, FLOOR = "false alarms", "ages", "floor"
-"""Cells that are of no family."""
 TIMED, TIMED_EPOCHS = 64, 40
 """Receivers and epochs by which a detector's time is measured."""
-AGAIN, ALIKE = 8, 1e-6
-"""Runs that are judged twice, and the largest difference of the two, in parts."""
 FLOOR_PLAYS = 500.0
 """Runs that take about as long as a world of the floor."""
 OVERHEAD = 4.0
@@ -670,6 +651,7 @@ def audit(
     threads: int | None = None,
     progress: ProgressBar | None = None,
     folder: str | os.PathLike[str] | None = None,
+    log: InnovationLog | str | os.PathLike[str] | None = None,
 ) -> Audit:
     """Audit a detector: what the worst attack of a task's families does to it, and how surely.
 
@@ -704,6 +686,9 @@ def audit(
     folder : path-like, optional
         Its folder of the task holds what is finished, and the worst attacks; a killed process goes
         on from there.
+    log : InnovationLog or path-like, optional
+        Log of a receiver, on whose clean windows it plays in place of a task; it has neither
+        entropy nor numbers of runs, and thresholds are those of its own windows.
 
     Returns
     -------
@@ -724,6 +709,11 @@ def audit(
     ('dashes', 1.0)
     """
     sizes: Any = {"runs": runs, "selection_runs": selection_runs, "families": families}
-    auditor = Auditor(task, budget, **sizes, entropy=entropy, threads=threads, folder=folder)
+    auditor: Auditor | LogAuditor = (
+        Auditor(task, budget, **sizes, entropy=entropy, threads=threads, folder=folder)
+        if log is None
+        else LogAuditor(log, budget, families=families, threads=threads, folder=folder)
+    )
     cells = auditor.prepare(detector, progress)
-    return cells.conclude(auditor.run(cells, progress))
+    store = MemoryStore(None if auditor.folder is None else Store(auditor.folder))
+    return cells.conclude(run_experiment(cells, store, threads=threads, progress=progress))

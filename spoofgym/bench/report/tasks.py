@@ -165,7 +165,11 @@ DETECTOR_SCORES = Table(
     ),
     (
         "clock step, lost satellite, front [%]",
-        lambda score: ", ".join(_format_share(score["false_alarms"][event]) for event in EVENTS),
+        lambda score: ", ".join(
+            _format_share(score["false_alarms"][event])
+            for event in EVENTS
+            if event in score["false_alarms"]  # a log has none
+        ),
     ),
 )
 CARDS = Table(

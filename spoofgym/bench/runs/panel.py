@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from ...calibration.clean_runs import RunMaxima
 from ...detectors import Calibrated, Detector, Never, PooledDetector
 from ...detectors.calibrated import resolve_thresholds
+from ...envs.context import spoofer_context
 from ...simulation.domain import draw
 from ...simulation.monitors import Monitor
 from ...simulation.setup import Setup, make_generators, seeds_of_runs
 from ...simulation.simulator import episode_seeds
-from ...spoofers import make_spoofer
+from ...spoofers import SpooferContext, make_spoofer
 from ...spoofers.base import sees_statistics
 from ...tasks import CANDIDATES, NEAR_ALARM_S, SWITCH_WITHIN_S, TURNING_DEGPS
 from ...truth.sensors import draw_source_keys
@@ -185,6 +186,10 @@ class Panel:
     @property
     def runs(self) -> int:
         return self.start.receivers
+
+    @property
+    def context(self) -> SpooferContext:
+        return spoofer_context(self.setup)
 
     def play(
         self,

@@ -27,7 +27,7 @@ from ...envs.spoofer_binding import get_tuning_range
 from ...spoofers import make_spoofer
 from ..runs.panel import Panel, PanelAttack
 from ..runs.players import PlayerSpec
-from ..runs.record import MEASURES, Mask, measure_displacement
+from ..runs.record import MEASURES, Mask, measure_displacement, undetected_displacement
 from ..scores.at_budget import AMPLITUDE, AlarmCurve, compute_at_budget, score_at_budget
 from ..scores.scores import Stealth, select_clusters
 from ..scores.statistics import (
@@ -39,7 +39,7 @@ from ..scores.statistics import (
     weighted_quantile,
 )
 from .amplitude import Trial, Tuning, TuningResult
-from .backends import Rows
+from .backends import ReplayBackend, Rows
 
 RESOLUTION = 1.005  # ratio of two values between which a run's alarm amplitude is known to lie
 STEP, GROWTH = 1.1, 1.25
@@ -105,6 +105,51 @@ class EngineRuns:
         specs = [self.player.with_value(value) for value in different.tolist()]
         runs = self.panel.play_each(self.number, specs, which, self.rows[rows])
         return np.asarray(runs.first_alarm > 0)
+
+
+class ReplayRuns:
+    """Runs of a response replay under curves of the rate; a value is a factor on them. `parts`: a
+    curve (steps,), and the rows of the replay that it plays on."""
+
+    def __init__(
+        self,
+        backend: ReplayBackend,
+        parts: Sequence[tuple[FloatArray, Rows]],
+        span: tuple[float, float],
+    ) -> None:
+        self.backend, self.parts, self.span = backend, parts, span
+        self.sky = np.concatenate([rows for _, rows in parts]).astype(np.int64)
+
+    def play(self, value: float) -> Played:
+        replay, alarmed, moved = self.backend.replay, [], []
+        hold = replay.epochs - replay.attack_epochs
+        for curve, rows in self.parts:
+            found = replay.play(self.backend.number, value * curve[None], rows=rows)
+            first, error = found.first_alarm[0], found.error[: replay.attack_epochs, 0]
+            alarmed.append(first > 0)
+            moved.append(undetected_displacement(error, first, hold))
+        return np.concatenate(alarmed), {MEASURES[0]: np.concatenate(moved)}
+
+    def sift(self, values: Sequence[float], count: int) -> Mask:
+        alarmed = []
+        for curve, rows in self.parts:
+            curves, few = np.outer(values, curve), rows[: math.ceil(count / len(self.parts))]
+            found = self.backend.replay.play(self.backend.number, curves, rows=few)
+            alarmed.append(found.first_alarm > 0)
+        return np.concatenate(alarmed, axis=1)
+
+    def alarms(self, values: FloatArray, rows: Rows) -> Mask:
+        alarmed, first = np.zeros(len(rows), dtype=np.bool_), 0
+        for curve, own in self.parts:
+            mine = (rows >= first) & (rows < first + len(own))
+            if mine.any():
+                some, scale = own[rows[mine] - first], values[mine]
+                found = self.backend.replay.play(
+                    self.backend.number, curve[None], rows=some, scale=scale
+                )
+                alarmed[mine] = found.first_alarm[0] > 0
+            first += len(own)
+        return alarmed
 
 
 def trace_alarms(

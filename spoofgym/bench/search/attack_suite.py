@@ -35,7 +35,6 @@ from ...attacks import make_attack
 from ...core.declared import setting, settings_record
 from ...core.registry import Spec
 from ...core.settings import compute_digest
-from ...envs.context import spoofer_context
 from ...simulation.setup import Setup
 from ...spoofers import SPOOFERS, SpooferContext, make_spoofer
 from ...spoofers.scaled import AMPLITUDE, LARGEST, SMALLEST
@@ -199,7 +198,7 @@ class WorstAttacks:
     ) -> None:
         self.panel, self.number = panel, number
         self.attacks, self.settings = members, settings
-        self.context = spoofer_context(panel.setup)
+        self.context = panel.context
         self.counts, self.sky = panel.counts[:, number], panel.sky
         self.skies: NDArray[np.int64] | None = None
 

@@ -14,7 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...limits.response import Replay
+from ...limits.linear import get_rate_limits
+from ...limits.response import LinearReplay
 from ...simulation.setup import Setup
 from ...spoofers.base import direction, has_heading, list_axes
 from ..runs.play import FloatArray, Runs, WarmStart, induced_error
@@ -22,15 +23,6 @@ from ..runs.record import mask_valid_runs
 
 Rows = NDArray[np.intp]
 EAST_DEG = 90.0  # heading of scripted spoofers by default
-
-
-def get_rate_limits(setup: Setup) -> tuple[float, float]:
-    """Largest rate, and its largest change between two decisions [m/s]."""
-    attack = setup.attack
-    largest = float(np.min(attack.rate_limit_mps))
-    if attack.control == "rate":
-        return largest, math.inf
-    return largest, attack.acceleration_limit_mps2 * setup.interval_s * setup.repeat
 
 
 def compute_unit_commands(setup: Setup, heading_deg: float | str, target: FloatArray) -> FloatArray:
@@ -46,21 +38,22 @@ def compute_unit_commands(setup: Setup, heading_deg: float | str, target: FloatA
 class ReplayBackend:
     """One of the detectors of a replay, against attacks along a heading."""
 
-    def __init__(self, replay: Replay, number: int, heading_deg: float | str = EAST_DEG) -> None:
+    def __init__(
+        self, replay: LinearReplay, number: int, heading_deg: float | str = EAST_DEG
+    ) -> None:
         self.replay, self.number, self.sums = replay, number, replay.sums(number)
         if not isinstance(heading_deg, str):
             self.replay = replay = copy.copy(replay)
             replay.heading = np.full(replay.runs, math.radians(heading_deg))
-        self.steps = len(replay.hats)
-        self.limits = get_rate_limits(replay.setup)
+        self.steps, self.limits = replay.steps, replay.limits
         clean = replay.play(number, np.zeros((1, self.steps)))
         counts = mask_valid_runs(replay.warmup_alarm[number], clean.first_alarm[0])
-        self._rows = np.flatnonzero(counts)
-        self.runs = len(self._rows)
+        self.rows = np.flatnonzero(counts)
+        self.runs = len(self.rows)
 
     def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
-        found = self.replay.play(self.number, curves, rows=self._rows[rows])
-        error = found.error[: self.replay.setup.steps]
+        found = self.replay.play(self.number, curves, rows=self.rows[rows])
+        error = found.error[: self.replay.attack_epochs]
         return found.peak, error.max(axis=0).mean(axis=1)
 
 

@@ -31,6 +31,7 @@ import numpy as np
 from scipy import special
 
 from ...core.declared import setting, settings_record
+from ...limits.linear import get_rate_limits
 from ...limits.response import NotReplayable, Replay, check_replayable
 from ...simulation.domain import draw
 from ...simulation.setup import Setup, seed_sequences
@@ -53,7 +54,7 @@ from .amplitude import (
     tune_amplitude,
     with_rates,
 )
-from .backends import Backend, EngineBackend, ReplayBackend, Rows, get_rate_limits
+from .backends import Backend, EngineBackend, ReplayBackend, Rows
 from .bounds import DisplacementBounds
 
 WorkCallback = Callable[[float], None]
@@ -396,6 +397,45 @@ def share_skies(setup: Setup, entropy: int, runs: int) -> dict[str, Any]:
     return {"world": world, **{name: of[world] * setup.interval_s for name, of in times.items()}}
 
 
+def search_aims(
+    backend: Backend,
+    tuning: Tuning,
+    settings: OpenLoopSearch,
+    alert_limit_m: float | None,
+    tick: WorkCallback = lambda part: None,
+) -> dict[str, Any]:
+    """Curves that get farthest, by `AIMS`."""
+    found: dict[str, Any] = {}
+    best: OpenLoopAttack | None = None
+    least = 1.0
+    for name, most in {} if backend.sums else JUDGED.items():
+        settings = replace(settings, **{name: min(getattr(settings, name), most)})
+    for name, share in zip(AIMS[:2], (aim(tuning.runs, tuning.budget), 0.5), strict=True):
+        # what gets as far as any attack at few alarms does so at more of them
+        if best is None or not best.saturated or share < least:
+            others = {} if best is None else {BEFORE: best.rates_mps}
+            best = OpenLoopOptimizer(backend, share, settings).search(others, tick)
+            least = share
+        found[name] = {
+            "share": share,
+            "rates_mps": [float(f"{rate:.6g}") for rate in best.rates_mps],
+            "displacement_m": best.displacement_m,
+            "start": best.start,
+            "start_m": best.start_m,
+        }
+    if alert_limit_m is not None and best is not None:
+        optimizer = HazardOptimizer(backend, alert_limit_m, settings)
+        best = optimizer.search({BEFORE: best.rates_mps})
+        found[AIMS[2]] = {
+            "limit_m": alert_limit_m,
+            "rates_mps": [float(f"{rate:.6g}") for rate in best.rates_mps],
+            "p_hmi": float(special.ndtr(best.displacement_m)),
+            "start": best.start,
+            "start_p_hmi": float(special.ndtr(best.start_m)),
+        }
+    return found
+
+
 class Optima:
     """Searches for open-loop attacks against the detectors of `brackets`, in its world. `spoofers`
     also play there; the profiles among them are candidates of a search. `alert_limit_m`: that of
@@ -436,9 +476,9 @@ class Optima:
         heading_deg = spoofer.spec["heading_deg"]
         shape = self._zero_alarm(detector)
         replayed, why = self._replay_backend(detector, heading_deg)
-        error = None
+        error, sizes = None, (self.tuning, self.settings, self.alert_limit_m)
         if replayed is not None:
-            found = self._search(replayed, tick)
+            found = search_aims(replayed, *sizes, tick)
             spec = {**spoofer.fixed_spec, "rates_mps": found[AIMS[0]]["rates_mps"]}
             # a passive detector changes no displacement
             self._unwatched = self._unwatched or self._start(self.world.setup, shared=True)
@@ -447,40 +487,9 @@ class Optima:
                 return {"by": REPLAY, "linear_error": error, "aims": found, "shapes": shape}
             why = f"the displacement by replay is off by {100.0 * error:.1f} %"
         start = self._start(self.world.build_setup(detector, self.spoofers))
-        found = self._search(EngineBackend(*start, heading_deg), tick)
+        found = search_aims(EngineBackend(*start, heading_deg), *sizes, tick)
         played = {"by": ENGINE, "why": why, "linear_error": error}
         return {**played, "aims": found, "shapes": shape}
-
-    def _search(self, backend: Backend, tick: WorkCallback) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        best: OpenLoopAttack | None = None
-        least, tuning, settings = 1.0, self.tuning, self.settings
-        for name, most in {} if backend.sums else JUDGED.items():
-            settings = replace(settings, **{name: min(getattr(settings, name), most)})
-        for name, share in zip(AIMS[:2], (aim(tuning.runs, tuning.budget), 0.5), strict=True):
-            # what gets as far as any attack at few alarms does so at more of them
-            if best is None or not best.saturated or share < least:
-                others = {} if best is None else {BEFORE: best.rates_mps}
-                best = OpenLoopOptimizer(backend, share, settings).search(others, tick)
-                least = share
-            found[name] = {
-                "share": share,
-                "rates_mps": [float(f"{rate:.6g}") for rate in best.rates_mps],
-                "displacement_m": best.displacement_m,
-                "start": best.start,
-                "start_m": best.start_m,
-            }
-        if self.alert_limit_m is not None and best is not None:
-            optimizer = HazardOptimizer(backend, self.alert_limit_m, settings)
-            best = optimizer.search({BEFORE: best.rates_mps})
-            found[AIMS[2]] = {
-                "limit_m": self.alert_limit_m,
-                "rates_mps": [float(f"{rate:.6g}") for rate in best.rates_mps],
-                "p_hmi": float(special.ndtr(best.displacement_m)),
-                "start": best.start,
-                "start_p_hmi": float(special.ndtr(best.start_m)),
-            }
-        return found
 
     def _zero_alarm(self, detector: PlayerSpec) -> dict[str, list[float]]:
         """Shape of the attack that gets farthest without an alarm of its own doing, if known. It is
