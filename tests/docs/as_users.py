@@ -74,6 +74,7 @@ SMALLER: dict[str, tuple[str | None, str]] = {
         None,
         "a calibration; tests/bench/test_audit.py has one like it",
     ),
+    r"spoofgym audit --spoofer ": ("--budget quick --runs 8 --seed 0", "twelve detectors"),
     r"spoofgym audit ": (AUDIT, "a minute to ten, and a calibration"),
 }
 """How commands begin that would take more than some ten minutes or can't run here; with what
