@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import contextlib
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +12,7 @@ import typer
 from typer import Argument, Option
 
 from . import options as opt
-from .app import print_json, progress
+from .app import print_json, print_lines, progress
 from .options import with_options
 from .suites import calibrate_suite, make_tuning
 
@@ -28,12 +29,12 @@ class AuditOptions:
         Option(help="Task for detectors, D1 to D3, may be repeated. Default: D1."),
     ] = None
     budget: Annotated[
-        str,
+        str | None,
         Option(
             help="Size of all that is played: quick, standard or full, some 1, 3 or 12 minutes of "
-            "a processor for a plain detector in D1."
+            "a processor for a plain detector in D1. Default: standard; quick with --check."
         ),
-    ] = "standard"
+    ] = None
     family: Annotated[
         list[str] | None,
         Option(help="Family of attacks, may be repeated. Default: all of the task."),
@@ -70,6 +71,10 @@ class AuditOptions:
     shard: opt.Shard = None
 
     @property
+    def size(self) -> str:
+        return self.budget or "standard"
+
+    @property
     def tasks(self) -> list[str]:
         return list(dict.fromkeys(self.task or ["D1"]))
 
@@ -80,6 +85,10 @@ class AuditOptions:
             return opt.finish_experiment(experiment, folder, **how)
         except typer.Exit:  # the next task has its own
             return None
+
+
+Audited = tuple[list[dict[str, Any]], list[list[str]], list[Path]]
+"""Audits as JSON, their screens, and files of reports."""
 
 
 @with_options
@@ -95,6 +104,14 @@ def audit_(
             f"name or an .onnx file, too. {opt.SPEC_HELP}"
         ),
     ] = None,
+    check: Annotated[
+        Path | None,
+        Option(
+            metavar="ENTRY",
+            help="Folder of an entry: check its format and files, audit it, and say whether the "
+            "figures that it claims lie in the intervals. Exit code 1 where one does not.",
+        ),
+    ] = None,
     options: AuditOptions,
     as_json: opt.Json = False,
 ) -> None:
@@ -105,29 +122,60 @@ def audit_(
 
     Examples: `spoofgym audit my_module:MyDetector --budget quick`;
     `spoofgym audit ewma:smoothing=0.2 --task D1 --task D2`;
-    `spoofgym audit --spoofer my.onnx --budget quick`.
+    `spoofgym audit --spoofer my.onnx --budget quick`; `spoofgym audit --check my-entry`.
     """
     from ..bench.report.audit import print_audits
-    from ..bench.report.spoofer_audit import print_spoofer_audits
 
-    if (detector is None) == (spoofer is None):
-        raise ValueError("an audit is of a DETECTOR or of a --spoofer: give one of the two")
-    if detector is not None:
-        found, written = audit_detector(detector, options)
-        records = [each.as_dict() for each in found]
-    else:
-        records, written = audit_spoofer(str(spoofer), options)
+    if [detector, spoofer, check].count(None) != 2:
+        raise ValueError("an audit is of a DETECTOR, a --spoofer or an entry, by --check: give one")
+    if check is not None:
+        check_entry(check, options, as_json)
+        return
+    audit = audit_spoofer if detector is None else audit_detector
+    records, screens, written = audit(str(spoofer if detector is None else detector), options)
     if as_json and records:
         print_json(records)
-    elif detector is not None:
-        print_audits(found, written)
+    elif records:
+        print_audits(screens, written, [each["answer"] for each in records])
+
+
+def check_entry(folder: Path, options: AuditOptions, as_json: bool) -> None:
+    """Check an entry, audit it from its folder, and compare what it claims."""
+    from ..bench.experiments.entry import Entry, compare_figures
+    from ..bench.report.table import Table, interval, yes_no
+
+    entry = Entry.load(folder)
+    if options.task or options.shard:
+        raise ValueError("--task and --shard can't be given with --check, whose entry has its task")
+    out, budget = options.out.resolve() / entry.name, options.budget or "quick"
+    options = replace(options, task=[entry.task], out=out, budget=budget)
+    with contextlib.chdir(folder):
+        audit = audit_detector if entry.side == "detector" else audit_spoofer
+        (record,), _, written = audit(entry.player, options)
+    figures = list(compare_figures(entry.figures, record))
+    false = [each.name for each in figures if not each.holds]
+    answer = f"{entry.name} by {entry.who}: all {len(figures)} figures hold"
+    if false:
+        answer = f"{entry.name} by {entry.who}: claims what is not found: {', '.join(false)}"
+    rows = [{**each._asdict(), "holds": each.holds} for each in figures]
+    if as_json:
+        print_json({"entry": entry.model_dump(), "figures": rows, "audit": record})
     else:
-        print_spoofer_audits(records, written)
+        table = Table(
+            ("figure", "name"),
+            ("claimed", "claimed", "{:.4g}".format),
+            ("played", dict, interval),
+            ("holds", "holds", yes_no),
+        )
+        table.print(f"{entry.task}, {budget}, seed {record['entropy']}", rows)
+        print_lines([*(f"Report: {path}" for path in written), answer])
+    raise typer.Exit(bool(false))
 
 
-def audit_detector(text: str, options: AuditOptions) -> tuple[list[Any], list[Path]]:
-    """Audits of a detector by task, and their reports."""
+def audit_detector(text: str, options: AuditOptions) -> Audited:
+    """Audit a detector by task."""
     from ..bench.experiments.audit import Auditor
+    from ..bench.report.audit import format_screen
     from ..bench.report.detector_page import build_scores_page
     from ..bench.report.page import write_page
 
@@ -135,7 +183,7 @@ def audit_detector(text: str, options: AuditOptions) -> tuple[list[Any], list[Pa
     sizes: Any = {"runs": options.runs, "selection_runs": options.selection_runs}
     settings: Any = {**sizes, "families": options.family or None, "entropy": options.seed}
     settings |= {"threads": options.threads, "folder": options.out}
-    auditors = [Auditor(key, options.budget, **settings) for key in options.tasks]
+    auditors = [Auditor(key, options.size, **settings) for key in options.tasks]
     for auditor in auditors:
         cells = auditor.prepare(spec, progress, partial(typer.echo, err=True))
         if (results := options.finish(cells, auditor.folder)) is None:
@@ -143,11 +191,11 @@ def audit_detector(text: str, options: AuditOptions) -> tuple[list[Any], list[Pa
         found.append(cells.conclude(results))
         scores = {"detectors": [found[-1].as_dict()]}
         written.append(write_page(results.store, build_scores_page(results.store, scores))[-1])
-    return found, written
+    return [each.as_dict() for each in found], [*map(format_screen, found)], written
 
 
-def audit_spoofer(text: str, options: AuditOptions) -> tuple[list[dict[str, Any]], list[Path]]:
-    """Audits of a spoofer by task, and their reports: a campaign beside the usual attacks."""
+def audit_spoofer(text: str, options: AuditOptions) -> Audited:
+    """Audit a spoofer by task: a campaign beside the usual attacks."""
     from ..bench.experiments.audit import draw_entropy
     from ..bench.experiments.campaign import Campaign, summarize
     from ..bench.experiments.suite import (
@@ -158,7 +206,7 @@ def audit_spoofer(text: str, options: AuditOptions) -> tuple[list[dict[str, Any]
     )
     from ..bench.report.campaign_page import build_page, replay_worst
     from ..bench.report.page import load_replay, write_page
-    from ..bench.report.spoofer_audit import REFERENCES, write_spoofer_audit
+    from ..bench.report.spoofer_audit import REFERENCES, format_reach, write_spoofer_audit
     from ..bench.runs.players import add_tuned_setting, specify_spoofer
     from ..core.registry import slug
     from ..tasks import get_detector_task
@@ -166,7 +214,7 @@ def audit_spoofer(text: str, options: AuditOptions) -> tuple[list[dict[str, Any]
     if options.family or options.selection_runs:
         raise ValueError("--family and --selection-runs are options of a detector's audit")
     size, (spec,), found, written = (
-        get_budget(options.budget, runs=options.runs),
+        get_budget(options.size, runs=options.runs),
         opt.parse_specs([text]),
         [],
         [],
@@ -196,7 +244,7 @@ def audit_spoofer(text: str, options: AuditOptions) -> tuple[list[dict[str, Any]
         cells = campaign.results(results)
         summary = summarize(cells)
         replay_worst(campaign.suite, cells, summary)
-        found.append(write_spoofer_audit(summary, player.label, task.key, options.budget))
+        found.append(write_spoofer_audit(summary, player.label, task.key, options.size))
         page = build_page(cells, summary, load_replay(cells.store))
         written.append(write_page(cells.store, page)[-1])
-    return found, written
+    return found, [*map(format_reach, found)], written

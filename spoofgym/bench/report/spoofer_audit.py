@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-from textwrap import wrap
 from typing import Any
 
 from ..scores.campaign import CONTROLS, extract_name
@@ -14,7 +11,8 @@ from .table import Table, format_number, interval, metres
 Row = dict[str, Any]
 REFERENCES = ("open-loop", "accelerating-ramp")
 """Attacks that a spoofer is compared with."""
-WIDTH = 100
+PARTS = ("0.5", "0.05")
+"""Of the runs, as keys of what is exceeded in them."""
 WIDTHS = (30, 8, 22, 8, 13, 13)
 """Of the columns of the screen."""
 
@@ -104,18 +102,4 @@ def format_reach(audit: Row) -> list[str]:
         "",
         limits,
         f"no attack without alarm exceeds: {', '.join(known) or 'not known'}",
-        "",
     ]
-
-
-PARTS = ("0.5", "0.05")
-
-
-def print_spoofer_audits(audits: Sequence[Row], reports: Sequence[Path]) -> None:
-    """Print a screen of each, and the answers last."""
-    for each in audits:
-        print("\n".join(format_reach(each)))
-    for path in reports:
-        print(f"Report: {path}")
-    for each in audits:
-        print("\n".join(wrap(each["answer"], WIDTH, break_on_hyphens=False)))
