@@ -13,7 +13,7 @@ REFERENCES = ("open-loop", "accelerating-ramp")
 """Attacks that a spoofer is compared with."""
 PARTS = ("0.5", "0.05")
 """Of the runs, as keys of what is exceeded in them."""
-WIDTHS = (30, 8, 22, 8, 13, 13)
+WIDTHS = (26, 8, 22, 8, 13, 13)
 """Of the columns of the screen."""
 
 
@@ -95,8 +95,8 @@ def format_reach(audit: Row) -> list[str]:
     bounds = [(row["detector"], bound_text(row["zero_alarm"], "")) for row in rows]
     known = [f"{text} m against {shorten_label(name)}" for name, text in bounds if text]
     return [
-        f"{audit['spoofer']} in the world of {audit['task']}: {audit['runs']} runs, its amplitude "
-        f"fitted to each detector's alarms ({audit['budget']}, seed {audit['entropy']})",
+        f"{audit['spoofer']} in {audit['task']}: {audit['runs']} runs, fitted to each detector's "
+        f"alarms ({audit['budget']}, seed {audit['entropy']})",
         "",
         *lines,
         "",
