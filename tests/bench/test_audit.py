@@ -189,7 +189,7 @@ def test_what_is_as_it_should_be_is_not_warned_of():
     value = audit.score.estimate_quantile(0.5).value
     assert str(audit) == (
         f"mine: {value:.1f} m in half of the runs (worst: open-loop), false alarms 0.23/h "
-        "(asked 0.2)"
+        "(requested 0.2)"
     )
     silent = replace(
         audit, score=replace(audit.score, families=(family("ramps", 1.0, silent=False),))

@@ -54,7 +54,7 @@ def _figures(found: dict[str, Any]) -> Iterator[str]:
     measured = interval(found["false_alarms_per_hour"])
     yield _row(
         "false alarms an hour",
-        measured + (", as published" if requested is None else f", asked {requested:g}"),
+        measured + (", as published" if requested is None else f", requested {requested:g}"),
     )
     worst = found["worst_in_half"], found["worst_in_few"]
     for share, family in zip(SHARES, worst, strict=True):
