@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import spoofgym
-from spoofgym.bench.experiments import audit as module
+from spoofgym.bench.experiments import audit_worlds as module
 from spoofgym.bench.experiments.audit import BUDGETS, Auditor
 from spoofgym.bench.experiments.runner import run_experiment
 from spoofgym.bench.experiments.store import Store
@@ -51,8 +51,7 @@ def probe(monkeypatch):
     auditor = Auditor(
         AgedTask("aged", of.title, of.task, of.families), "quick", entropy=0, threads=1
     )
-    size = auditor.size._replace(twins=24, ages=3)
-    return lambda judge: auditor.worlds.probe_ages(judge, size)
+    return lambda judge: auditor.worlds.probe_ages(judge, 24, 3)
 
 
 def soon(kind, **more):
