@@ -196,7 +196,7 @@ def audit_detector(text: str, options: AuditOptions) -> Audited:
 
 def audit_spoofer(text: str, options: AuditOptions) -> Audited:
     """Audit a spoofer by task: a campaign beside the usual attacks."""
-    from ..bench.experiments.audit import draw_entropy
+    from ..bench.experiments.audit_cells import draw_entropy
     from ..bench.experiments.campaign import Campaign, summarize
     from ..bench.experiments.suite import (
         Suite,

@@ -8,7 +8,8 @@ import pytest
 
 import spoofgym
 from spoofgym.bench.experiments import audit_worlds as module
-from spoofgym.bench.experiments.audit import BUDGETS, Auditor
+from spoofgym.bench.experiments.audit import Auditor
+from spoofgym.bench.experiments.audit_cells import BUDGETS
 from spoofgym.bench.experiments.runner import run_experiment
 from spoofgym.bench.experiments.store import Store
 from spoofgym.bench.report.audit import LINES, WIDTH, format_screen

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import json
+import os
+import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
 
 from ...core.files import write_file
-from ...core.registry import slug
+from ...core.registry import check_choice, slug, whole_number
 from ...core.settings import compute_digest, describe, outside_sources
 from ...detectors import detector_in_world
 from ...detectors.calibrated import calibrated_parts, list_factors
-from ...tasks import ANTENNA_PARTS, DETECTOR_TASKS, EVENTS, AttackFamily
+from ...tasks import (
+    ANTENNA_PARTS,
+    DETECTOR_TASKS,
+    EVENTS,
+    AttackFamily,
+    DetectorTask,
+    get_detector_task,
+)
 from ..runs.panel import play_searches
 from ..runs.players import add_tuned_setting, specify_spoofer
 from ..runs.record import Protection, Winner
@@ -23,20 +33,46 @@ from ..search.amplitude import with_rates
 from ..search.attack_suite import (
     ROUNDS,
     FamilyAttacks,
+    Selection,
     SuiteAttack,
     expected_plays,
     play_winners,
 )
 from ..search.bounds import DisplacementBounds
 from ..search.open_loop import AIMS, OpenLoopSearch
-from .audit_worlds import NEAR_ALARM, RAMPS, ScoredDetector
+from .audit_worlds import NEAR_ALARM, RAMPS, ScoredDetector, Worlds
 from .runner import Context, Experiment
 from .store import Cell, Reader, Result
 from .suite import DETECTOR_FILE, stored_cards
 
-if TYPE_CHECKING:
-    from .audit import Auditor
 
+class AuditBudget(NamedTuple):
+    """Size of an audit.
+
+    - `runs`: evaluation runs of every family; `selection_runs`: those that its attacks are chosen
+      on; `search`: of profiles against the detector;
+    - `twins`: runs of every age; `ages`: how many of `AGES_S`;
+    - `floor_worlds`: worlds of the floor where none is stored, None for all, 0 for no floor.
+    """
+
+    runs: int
+    selection_runs: int
+    search: OpenLoopSearch
+    twins: int
+    ages: int
+    floor_worlds: int | None
+
+
+BUDGETS = {
+    "quick": AuditBudget(40, 24, OpenLoopSearch(runs=96, batch=24, generations=6), 16, 4, 0),
+    "standard": AuditBudget(400, 96, OpenLoopSearch(runs=256), 64, 5, 4),
+    "full": AuditBudget(1500, 384, OpenLoopSearch(), 192, 5, None),
+}
+"""Sizes by their names: about 1, 3 and 12 minutes of a processor for a plain detector in D1."""
+SIFTED = 4
+"""Part of the selection that sifts, as one in so many."""
+ENTROPY = "entropy"
+"""File of a folder: the entropy that was drawn for its runs."""
 SEARCHED = "o"
 """Letter of a family whose profiles are looked for against each detector."""
 SEARCH_PLAYS = 4000.0
@@ -45,6 +81,51 @@ FALSE_ALARMS, AGES, FLOOR = "false alarms", "ages", "floor"
 """Cells that are of no family."""
 FLOOR_PLAYS = 500.0
 """Runs that take about as long as a world of the floor."""
+
+
+def draw_entropy(folder: Path | None) -> int:
+    """Entropy that no detector has seen; of a folder, that of its first audit."""
+    drawn = secrets.randbits(32)
+    if folder is not None:
+        try:
+            write_file(folder / ENTROPY, f"{drawn}\n".encode(), exclusive=True)
+        except FileExistsError:  # another shard's, too
+            drawn = int((folder / ENTROPY).read_text())
+    return drawn
+
+
+class AuditPlan:
+    """What is played to audit detectors of one task, on the same runs. Its arguments are those of
+    `audit`."""
+
+    def __init__(
+        self,
+        task: str | DetectorTask = "D1",
+        budget: str = "standard",
+        *,
+        runs: int | None = None,
+        selection_runs: int | None = None,
+        families: Sequence[str] | None = None,
+        entropy: int | None = None,
+        threads: int | None = None,
+        folder: str | os.PathLike[str] | None = None,
+    ) -> None:
+        self.task = get_detector_task(task) if isinstance(task, str) else task
+        check_choice("budget", budget, BUDGETS)
+        self.budget, self.size = budget, BUDGETS[budget]
+        self.runs = whole_number("`runs`", self.size.runs if runs is None else runs, 2)
+        few = self.size.selection_runs if selection_runs is None else selection_runs
+        few = whole_number("`selection_runs`", few, 4)
+        self.selection = Selection(runs=few, sift_runs=max(few // SIFTED, 1))
+        keys = [each.key for each in self.task.families] if families is None else list(families)
+        if not keys:
+            raise ValueError("`families` must name at least one family of attacks, got none")
+        self.families = tuple(self.task.family(key) for key in dict.fromkeys(keys))
+        root = None if folder is None else Path(folder)
+        self.folder = None if root is None else root / self.task.key
+        drawn = draw_entropy(root) if entropy is None else entropy
+        self.entropy = whole_number("`entropy`", drawn)
+        self.worlds = Worlds(self.task, self.entropy, threads)
 
 
 @dataclass(frozen=True)
@@ -56,7 +137,7 @@ class AuditCells(Experiment):
     """
 
     name: ClassVar[str] = "audit"
-    of: Auditor
+    of: AuditPlan
     detectors: Sequence[ScoredDetector]
     scores_only: bool = False
 
