@@ -50,6 +50,7 @@ docs/threats
 docs/worlds
 docs/calibration
 docs/audit
+docs/submit
 docs/isolation
 docs/promises
 docs/reliability

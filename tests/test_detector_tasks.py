@@ -7,7 +7,9 @@ import pytest
 
 import spoofgym
 from spoofgym.attacks import make_attack
-from spoofgym.bench.experiments.audit import SEARCHED, Auditor
+from spoofgym.bench.experiments import audit_worlds
+from spoofgym.bench.experiments.audit import Auditor
+from spoofgym.bench.experiments.audit_cells import SEARCHED
 from spoofgym.bench.experiments.suite import list_task_detectors
 from spoofgym.bench.report import tasks as detector_cards
 from spoofgym.bench.runs.players import specify_detector
@@ -171,7 +173,7 @@ def test_the_command_line_audits_goes_on_and_writes_attacks_that_play_again(tmp_
     assert found["p_hmi"]["value"] == 1.0
     assert found["warnings"] == ["never alarms, with an attack or without one"]
     assert len(list(tmp_path.rglob("*.npz"))) == 3  # a family, false alarms, ages
-    monkeypatch.setattr("spoofgym.bench.experiments.audit.Panel", None)  # nothing is played again
+    monkeypatch.setattr(audit_worlds, "Panel", None)  # nothing is played again
     result = call(*words)
     lines = result.stdout.splitlines()
     assert lines[-1] == found["answer"]

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym.bench.experiments.audit import Auditor, specify_detectors
+from spoofgym.bench.experiments.audit import Auditor
 from spoofgym.bench.experiments.calibration import calibrate_players
 from spoofgym.bench.experiments.suite import list_task_detectors
 from spoofgym.bench.report import tasks
+from spoofgym.bench.runs.players import specify_detectors
 from spoofgym.bench.scores.campaign import CONTROLS, extract_name
 from spoofgym.bench.scores.detector import DetectorScore
 from spoofgym.cli.app import progress

@@ -1,45 +1,53 @@
-"""Audit of a detector, on the command line."""
+"""Audit of a detector or a spoofer, on the command line."""
 
 from __future__ import annotations
 
+import contextlib
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
 
 from ..core.registry import require
 from . import options as opt
-from .app import print_json, progress
+from .app import print_json, print_lines, progress
+from .options import with_options
+from .suites import calibrate_suite, make_tuning
+
+if TYPE_CHECKING:
+    from ..bench.experiments import Experiment, Reader
 
 
-def audit_(
-    detector: Annotated[str, Argument(help=f"Detector; an .onnx file, too. {opt.SPEC_HELP}")],
-    *,
+@dataclass(frozen=True, kw_only=True)
+class AuditOptions:
+    """Options of an audit of either side."""
+
     task: Annotated[
         list[str] | None,
         Option(help="Task for detectors, D1 to D3, may be repeated. Default: D1."),
-    ] = None,
+    ] = None
     budget: Annotated[
-        str,
+        str | None,
         Option(
             help="Size of all that is played: quick, standard or full, some 1, 3 or 12 minutes of "
-            "a processor for a plain detector in D1."
+            "a processor for a plain detector in D1. Default: standard; quick with --check."
         ),
-    ] = "standard",
+    ] = None
     family: Annotated[
         list[str] | None,
         Option(help="Family of attacks, may be repeated. Default: all of the task."),
-    ] = None,
+    ] = None
     runs: Annotated[
         int | None,
         Option(
             min=2,
             max=opt.LARGEST_RUNS,
-            help="Evaluation runs of every family. Default: those of the budget.",
+            help="Evaluation runs of every family, or of a spoofer. Default: those of the budget.",
         ),
-    ] = None,
+    ] = None
     selection_runs: Annotated[
         int | None,
         Option(
@@ -47,28 +55,72 @@ def audit_(
             max=opt.LARGEST_RUNS,
             help="Runs that the attacks of a family are chosen on. Default: those of the budget.",
         ),
-    ] = None,
+    ] = None
     log: Annotated[
         Path | None,
         Option(
             help="Log of a receiver with the matrices of its filter, on whose clean windows it "
             "plays in place of a task; thresholds are those of its own windows."
         ),
-    ] = None,
+    ] = None
     out: Annotated[Path, Option(help="Folder of finished parts and of the worst attacks.")] = Path(
         "results/audit"
-    ),
+    )
     seed: Annotated[
         int | None,
         Option(
             min=0,
             help="Seed of all runs. Default: drawn at the first audit into a folder, and printed.",
         ),
+    ] = None
+    threads: opt.Threads = None
+    jobs: opt.Processes = 1
+    backend: opt.Backend = "local"
+    shard: opt.Shard = None
+
+    @property
+    def size(self) -> str:
+        return self.budget or "standard"
+
+    @property
+    def tasks(self) -> list[str]:
+        return list(dict.fromkeys(self.task or ["D1"]))
+
+    def finish(self, experiment: Experiment, folder: Path | None) -> Reader | None:
+        """Results of all cells; None where a shard leaves some to others."""
+        how: Any = {name: getattr(self, name) for name in ("jobs", "backend", "shard", "threads")}
+        try:
+            return opt.finish_experiment(experiment, folder, **how)
+        except typer.Exit:  # the next task has its own
+            return None
+
+
+Audited = tuple[list[dict[str, Any]], list[list[str]], list[Path]]
+"""Audits as JSON, their screens, and files of reports."""
+
+
+@with_options
+def audit_(
+    detector: Annotated[
+        str | None, Argument(help=f"Detector; an .onnx file, too. {opt.SPEC_HELP}")
     ] = None,
-    threads: opt.Threads = None,
-    jobs: opt.Processes = 1,
-    backend: opt.Backend = "local",
-    shard: opt.Shard = None,
+    *,
+    spoofer: Annotated[
+        str | None,
+        Option(
+            help="Spoofer in place of a detector, against those of the standard suite; a shipped "
+            f"name or an .onnx file, too. {opt.SPEC_HELP}"
+        ),
+    ] = None,
+    check: Annotated[
+        Path | None,
+        Option(
+            metavar="ENTRY",
+            help="Folder of an entry: check its format and files, audit it, and say whether the "
+            "figures that it claims lie in the intervals. Exit code 1 where one does not.",
+        ),
+    ] = None,
+    options: AuditOptions,
     as_json: opt.Json = False,
 ) -> None:
     """Say what the worst attack known does to a detector, and how sure that is; resumable.
@@ -77,40 +129,141 @@ def audit_(
     that has not been done.  The last line is the answer.
 
     Examples: `spoofgym audit my_module:MyDetector --budget quick`;
-    `spoofgym audit ewma:smoothing=0.2 --task D1 --task D2`.
+    `spoofgym audit ewma:smoothing=0.2 --task D1 --task D2`;
+    `spoofgym audit --spoofer my.onnx --budget quick`; `spoofgym audit --check my-entry`.
     """
+    from ..bench.report.audit import print_audits
+
+    if [detector, spoofer, check].count(None) != 2:
+        raise ValueError("an audit is of a DETECTOR, a --spoofer or an entry, by --check: give one")
+    if check is not None:
+        check_entry(check, options, as_json)
+        return
+    audit = audit_spoofer if detector is None else audit_detector
+    records, screens, written = audit(str(spoofer if detector is None else detector), options)
+    if as_json and records:
+        print_json(records)
+    elif records:
+        print_audits(screens, written, [each["answer"] for each in records])
+
+
+def check_entry(folder: Path, options: AuditOptions, as_json: bool) -> None:
+    """Check an entry, audit it from its folder, and compare what it claims."""
+    from ..bench.experiments.entry import Entry, compare_figures
+    from ..bench.report.table import Table, interval, yes_no
+
+    entry = Entry.load(folder)
+    if options.task or options.shard or options.log:
+        raise ValueError(
+            "--task, --shard and --log don't go with --check, whose entry has its task"
+        )
+    out, budget = options.out.resolve() / entry.name, options.budget or "quick"
+    options = replace(options, task=[entry.task], out=out, budget=budget)
+    with contextlib.chdir(folder):
+        audit = audit_detector if entry.side == "detector" else audit_spoofer
+        (record,), _, written = audit(entry.player, options)
+    figures = list(compare_figures(entry.figures, record))
+    false = [each.name for each in figures if not each.holds]
+    answer = f"{entry.name} by {entry.who}: all {len(figures)} figures hold"
+    if false:
+        answer = f"{entry.name} by {entry.who}: claims what is not found: {', '.join(false)}"
+    rows = [{**each._asdict(), "holds": each.holds} for each in figures]
+    if as_json:
+        print_json({"entry": entry.model_dump(), "figures": rows, "audit": record})
+    else:
+        table = Table(
+            ("figure", "name"),
+            ("claimed", "claimed", "{:.4g}".format),
+            ("played", dict, interval),
+            ("holds", "holds", yes_no),
+        )
+        table.print(f"{entry.task}, {budget}, seed {record['entropy']}", rows)
+        print_lines([*(f"Report: {path}" for path in written), answer])
+    raise typer.Exit(bool(false))
+
+
+def audit_detector(text: str, options: AuditOptions) -> Audited:
+    """Audit a detector by task."""
     from ..bench.experiments.audit import Auditor
     from ..bench.experiments.log_audit import LogAuditor
-    from ..bench.report.audit import print_audits
+    from ..bench.report.audit import format_screen
     from ..bench.report.detector_page import build_scores_page
     from ..bench.report.page import write_page
 
-    (spec,), found, written = opt.parse_specs([detector]), [], []
-    tasks = ["D1"] if task is None else task
-    sizes: Any = {"runs": runs, "selection_runs": selection_runs, "families": family or None}
-    settings: Any = {**sizes, "entropy": seed, "threads": threads, "folder": out}
-    auditors: list[Any] = [Auditor(key, budget, **settings) for key in dict.fromkeys(tasks)]
-    if log is not None:
-        for name, value in (("task", task), ("runs", runs), ("selection-runs", selection_runs)):
-            require(not value, f"--{name} does not go with --log, whose windows are the runs")
-        own = {name: settings[name] for name in ("families", "threads", "folder")}
-        auditors = [LogAuditor(log, budget, **own)]
-    say = partial(typer.echo, err=True)
+    (spec,), found, written = opt.parse_specs([text]), [], []
+    sizes: Any = {"runs": options.runs, "selection_runs": options.selection_runs}
+    settings: Any = {"families": options.family or None, "threads": options.threads}
+    settings["folder"] = options.out
+    auditors: list[Any]
+    if options.log is None:
+        sizes["entropy"] = options.seed
+        auditors = [Auditor(key, options.size, **sizes, **settings) for key in options.tasks]
+    else:
+        for name, value in {"task": options.task, **sizes}.items():
+            given = f"--{name.replace('_', '-')}"
+            require(not value, f"{given} does not go with --log, whose windows are the runs")
+        auditors = [LogAuditor(options.log, options.size, **settings)]
     for auditor in auditors:
-        cells = auditor.prepare(spec, progress, say)
-        try:
-            results = opt.finish_experiment(
-                cells, auditor.folder, jobs=jobs, backend=backend, shard=shard, threads=threads
-            )
-        except typer.Exit:  # a shard that leaves cells to others; the next task has its own
+        cells = auditor.prepare(spec, progress, partial(typer.echo, err=True))
+        if (results := options.finish(cells, auditor.folder)) is None:
             continue
         found.append(cells.conclude(results))
         scores = {"detectors": [found[-1].as_dict()]}
-        page = build_scores_page(results.store, scores)
-        written.append(write_page(results.store, page)[-1])
-    if not found:
-        return
-    if as_json:
-        print_json([each.as_dict() for each in found])
-    else:
-        print_audits(found, written)
+        written.append(write_page(results.store, build_scores_page(results.store, scores))[-1])
+    return [each.as_dict() for each in found], [*map(format_screen, found)], written
+
+
+def audit_spoofer(text: str, options: AuditOptions) -> Audited:
+    """Audit a spoofer by task: a campaign beside the usual attacks."""
+    from ..bench.experiments.audit_cells import draw_entropy
+    from ..bench.experiments.campaign import Campaign, summarize
+    from ..bench.experiments.suite import (
+        Suite,
+        get_budget,
+        list_standard_detectors,
+        standard_kwargs,
+    )
+    from ..bench.report.campaign_page import build_page, replay_worst
+    from ..bench.report.page import load_replay, write_page
+    from ..bench.report.spoofer_audit import REFERENCES, format_reach, write_spoofer_audit
+    from ..bench.runs.players import add_tuned_setting, specify_spoofer
+    from ..core.registry import slug
+    from ..tasks import get_detector_task
+
+    if options.family or options.selection_runs or options.log:
+        raise ValueError("--family, --selection-runs and --log are options of a detector's audit")
+    size, (spec,), found, written = (
+        get_budget(options.size, runs=options.runs),
+        opt.parse_specs([text]),
+        [],
+        [],
+    )
+    player = specify_spoofer(add_tuned_setting(spec))
+    if player.label == "none":
+        raise ValueError("the spoofer none attacks nothing: there is nothing to audit")
+    for task in map(get_detector_task, options.tasks):
+        others = [add_tuned_setting(name) for name in REFERENCES if name != player.spec["name"]]
+        entropy = draw_entropy(options.out) if options.seed is None else options.seed
+        suite = Suite(
+            **standard_kwargs(task),
+            detectors=list_standard_detectors(task.task),
+            spoofers=[player.spec, *others],
+            runs=size.runs,
+            entropy=entropy,
+            tuning=make_tuning(
+                size.training_runs, 0.05, rule="exact", generations=size.generations
+            ),
+            floor_worlds=size.floor_worlds,
+        )
+        suite.world.check_fit((), suite.spoofer_players)
+        campaign = Campaign(calibrate_suite(suite, None, options.threads))
+        folder = options.out / f"{task.key}-{slug(player.label)}"
+        if (results := options.finish(campaign, folder)) is None:
+            continue
+        cells = campaign.results(results)
+        summary = summarize(cells)
+        replay_worst(campaign.suite, cells, summary)
+        found.append(write_spoofer_audit(summary, player.label, task.key, options.size))
+        page = build_page(cells, summary, load_replay(cells.store))
+        written.append(write_page(cells.store, page)[-1])
+    return found, [*map(format_reach, found)], written

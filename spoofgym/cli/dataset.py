@@ -111,11 +111,11 @@ def _plan(
     threads: int | None,
 ) -> Plan:
     """The plan of the options, its detector calibrated; `chosen`: what it takes as it is."""
-    from ..bench.experiments.audit import specify_detectors
     from ..bench.experiments.calibration import calibrate_players
     from ..bench.experiments.dataset import Plan
     from ..bench.experiments.suite import ALERT_LIMIT_M
     from ..bench.report.tasks import load_optima
+    from ..bench.runs.players import specify_detectors
     from ..core.declared import check_number
     from ..tasks import get_task
 

@@ -86,7 +86,7 @@ Rate = Annotated[
     float | None,
     Option(
         "--false-alarms-per-hour",
-        help="Rate of false alarms of all detectors that ask for no thresholds of their own; "
+        help="Rate of false alarms of all detectors that request no thresholds of their own; "
         "calibrated here where that has not been done. Default: 0.2.",
     ),
 ]

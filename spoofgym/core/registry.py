@@ -212,6 +212,12 @@ def _value(text: str) -> Any:
         return text
 
 
+def describe_error(error: Exception) -> str:
+    """An error of another's code in words: messages of lookups alone say little."""
+    plain = isinstance(error, TypeError | ValueError)
+    return str(error) if plain else f"{type(error).__name__}: {error}"
+
+
 def load_class(path: str, base: Callable[..., T]) -> type[T]:
     kind = cast("type[T]", base)  # abstract, which type[T] does not allow for
     module_name, _, name = path.partition(":")
@@ -251,8 +257,8 @@ def make(
         kind = load_class(settings.pop("name"), base)
         try:
             return kind(**settings)
-        except TypeError as error:
-            raise ValueError(f"{word} {name!r}: {error}") from error
+        except (TypeError, LookupError, AttributeError) as error:
+            raise ValueError(f"{word} {name!r}: {describe_error(error)}") from error
     return build(word, kinds, base, spec, more=more)
 
 

@@ -280,7 +280,8 @@ class Detector(ABC):
 
 
 def has_protection_level(detector: Detector) -> bool:
-    inner = getattr(detector, "detector", detector)  # of a calibrated one
+    inner = getattr(detector, "detector", None)  # of a calibrated one; a spec of an isolated one
+    inner = inner if isinstance(inner, Detector) else detector
     return type(inner).protection_level is not Detector.protection_level
 
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ..core.children import Channel, confine_process, end_with_parent, limit_resources
 from ..core.memory import Memory
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict, judge_epoch
+from .base import Detector, DetectorContext, Verdict, is_sound, judge_epoch
 from .build import bare_detector
 from .calibrated import describe_identity, name_kind
 from .isolated import FLAGS, WORDS
@@ -170,6 +170,13 @@ class Server:
         return False
 
 
+def load_kernels() -> None:
+    """Load the compiled check of verdicts, which each fork would load again."""
+    one = np.ones((1, 1))
+    is_sound(one, one, None)
+    is_sound(one, one, one)
+
+
 def serve_host(channel: Channel) -> None:
     """Load a detector, say what it is, and fork for every socket that the parent sends."""
     try:
@@ -180,6 +187,7 @@ def serve_host(channel: Channel) -> None:
         channel.send(b"!" + json.dumps({"error": f"{type(error).__name__}: {error}"}).encode())
         return
     channel.send(answer)
+    load_kernels()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system forgets those that have ended
     while True:
         channel.socket.settimeout(None)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import spoofgym
-from spoofgym.bench.experiments import audit as module
-from spoofgym.bench.experiments.audit import BUDGETS, Auditor
+from spoofgym.bench.experiments import audit_worlds as module
+from spoofgym.bench.experiments.audit import Auditor
+from spoofgym.bench.experiments.audit_cells import BUDGETS
 from spoofgym.bench.experiments.runner import run_experiment
 from spoofgym.bench.experiments.store import Store
 from spoofgym.bench.report.audit import LINES, WIDTH, format_screen
@@ -51,8 +52,7 @@ def probe(monkeypatch):
     auditor = Auditor(
         AgedTask("aged", of.title, of.task, of.families), "quick", entropy=0, threads=1
     )
-    size = auditor.size._replace(twins=24, ages=3)
-    return lambda judge: auditor.worlds.probe_ages(judge, size)
+    return lambda judge: auditor.worlds.probe_ages(judge, 24, 3)
 
 
 def soon(kind, **more):
@@ -189,7 +189,7 @@ def test_what_is_as_it_should_be_is_not_warned_of():
     value = audit.score.estimate_quantile(0.5).value
     assert str(audit) == (
         f"mine: {value:.1f} m in half of the runs (worst: open-loop), false alarms 0.23/h "
-        "(asked 0.2)"
+        "(requested 0.2)"
     )
     silent = replace(
         audit, score=replace(audit.score, families=(family("ramps", 1.0, silent=False),))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from onnx import numpy_helper
 
-from spoofgym.bench.experiments import audit as module
+from spoofgym.bench.experiments import audit_worlds as module
 from spoofgym.bench.experiments.audit import Auditor
 from spoofgym.bench.runs.record import MEASURES
 from spoofgym.bench.scores.detector import CLEAN, WINDOW

@@ -18,6 +18,7 @@ from spoofgym.bench.runs.panel import generators
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.core.children import confine_process
 from spoofgym.detectors import Calibrated, Never, PooledDetector, make_detector
+from spoofgym.detectors.base import has_protection_level
 from spoofgym.detectors.calibrated import describe_identity
 from spoofgym.detectors.isolated import ISOLATED, Isolated, IsolationError, is_foreign, isolate
 
@@ -83,6 +84,7 @@ def test_runs_are_those_of_this_process_when_receivers_are_dropped():
     np.testing.assert_array_equal(found[0].alarm, found[1].alarm)
     np.testing.assert_array_equal(found[0].position, found[1].position)
     assert found[0].alarm.any()
+    assert has_protection_level(make_detector(apart))  # it may have one: the process says so
 
 
 def test_a_detector_goes_on_as_a_copy_in_another_process_and_in_a_pool():

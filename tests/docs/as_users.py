@@ -33,7 +33,7 @@ LEARNING = "--steps 200 --num-envs 4 --batch-size 400 --stages 1 --fit-runs 80 -
 CAMPAIGN = "--budget quick --runs 8 --training-runs 80 --selection-runs 12"
 ELSEWHERE = '--out "$(mktemp -d)"'
 """Folder of a campaign that a sentence names as the origin of its figures."""
-AUDIT = "--budget quick --runs 8 --selection-runs 4 --family ramps --family open-loop"
+AUDIT = "--budget quick --runs 8 --selection-runs 4 --family ramps --family open-loop --seed 0"
 SMALLER: dict[str, tuple[str | None, str]] = {
     r"pip install ": (None, "the tests' environment has them; test_readme compares the extras"),
     r"spoofgym log import FLIGHT\.": (None, "tests/receiver/test_autopilots.py writes such files"),
@@ -79,6 +79,8 @@ SMALLER: dict[str, tuple[str | None, str]] = {
         "a calibration; tests/bench/test_audit.py has one like it",
     ),
     r"spoofgym audit .* --log ": ("--family ramps", "a minute"),
+    r"spoofgym audit --spoofer ": ("--budget quick --runs 8 --seed 0", "twelve detectors"),
+    r"cd my-entry && spoofgym audit ": (AUDIT, "an hour"),
     r"spoofgym audit ": (AUDIT, "a minute to ten, and a calibration"),
 }
 """How commands begin that would take more than some ten minutes or can't run here; with what

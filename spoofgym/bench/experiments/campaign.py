@@ -22,7 +22,7 @@ from ...simulation.simulator import weighs
 from ..runs.panel import Panel, PanelAttack, play_searches
 from ..runs.players import PlayerSpec, describe_knowledge
 from ..runs.record import MEASURES, Protection, RunRecord, record_runs
-from ..scores.at_budget import score_best
+from ..scores.at_budget import exceed_at_budget, score_best
 from ..scores.campaign import (
     compare_controls,
     compute_bounds,
@@ -31,6 +31,7 @@ from ..scores.campaign import (
     score_protection,
     score_runs,
 )
+from ..scores.scores import SHARES
 from ..search.amplitude import TuningResult, search_work, with_rates
 from ..search.attack_suite import (
     BESIDE,
@@ -194,7 +195,11 @@ def with_exact_score(cell: dict[str, Any], search: TuningResult | None) -> dict[
     if search is None or search.at_budget is None:
         return cell
     exact = search.at_budget
-    return {**cell, "stealthy_displacement_m": exact[MEASURES[0]], "at_budget": exact}
+    found = {**cell, "stealthy_displacement_m": exact[MEASURES[0]], "at_budget": exact}
+    if (curve := search.trace) is not None:
+        parts = {x: exceed_at_budget(curve, search.budget, x).as_json() for x in SHARES}
+        found["exceeded_m"] = {f"{x:g}": each for x, each in parts.items()}
+    return found
 
 
 def score_strongest(searches: Sequence[TuningResult], detector: str) -> dict[str, Any]:

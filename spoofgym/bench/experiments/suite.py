@@ -27,7 +27,7 @@ from ...policies.onnx_file import SUFFIX
 from ...simulation.domain import Domain
 from ...simulation.setup import SPLITS, Setup, Timeline
 from ...spoofers import Spoofer
-from ...tasks import DEFAULT_TASK, RANGE_RATE_TESTS, Task, get_task
+from ...tasks import DEFAULT_TASK, RANGE_RATE_TESTS, DetectorTask, Task, get_task
 from ...truth.scenario import Scenario
 from ..runs.players import (
     DEFAULT_SPOOFERS,
@@ -386,17 +386,17 @@ def list_task_detectors(task: Task) -> list[dict[str, Any]]:
     return [*found, *(spec for spec in everyone if spec not in known)]
 
 
-def list_standard_detectors() -> list[dict[str, Any]]:
+def list_standard_detectors(task: Task | None = None) -> list[dict[str, Any]]:
     """Detectors of the standard suite: the controls, solution separation with the task's bank, also
     on the victim's filter, and one or two tests of each kind."""
-    bank, plain, *others = list_task_detectors(get_task(DEFAULT_TASK))[len(CONTROLS) :]
+    bank, plain, *others = list_task_detectors(task or get_task(DEFAULT_TASK))[len(CONTROLS) :]
     rates = [each for each in others if "signals" in each and each["name"] in RATE_TESTS]
     return [*map(dict, CONTROLS), bank, plain, *rates, *({"name": name} for name in TESTS)]
 
 
-def standard_kwargs() -> dict[str, Any]:
-    """Keyword arguments of a `Suite`, but for its detectors."""
-    task = get_task(DEFAULT_TASK)
+def standard_kwargs(task: Task | DetectorTask | None = None) -> dict[str, Any]:
+    """Keyword arguments of a `Suite`, but for its detectors, by default in the default task."""
+    task = task or get_task(DEFAULT_TASK)
     limit = {} if task.alert_limit_m is None else {"alert_limit_m": task.alert_limit_m}
     note = f"suite standard: the world of task {task.key} of {task.suite}"
     return {**task.world_kwargs, **limit, "notes": (note,)}

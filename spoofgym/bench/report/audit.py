@@ -54,7 +54,7 @@ def _figures(found: dict[str, Any]) -> Iterator[str]:
     measured = interval(found["false_alarms_per_hour"])
     yield _row(
         "false alarms an hour",
-        measured + (", as published" if requested is None else f", asked {requested:g}"),
+        measured + (", as published" if requested is None else f", requested {requested:g}"),
     )
     worst = found["worst_in_half"], found["worst_in_few"]
     for share, family in zip(SHARES, worst, strict=True):
@@ -117,11 +117,12 @@ def _ages(found: dict[str, Any]) -> str:
     return f"test ramps found, by the time from switch-on to the onset: {', '.join(shown)}"
 
 
-def print_audits(audits: Sequence[Audit], reports: Sequence[Path]) -> None:
-    """Print a screen of each, and the answers last."""
-    for each in audits:
-        print("\n".join(format_screen(each)), end="\n\n")
+def print_audits(
+    screens: Sequence[Sequence[str]], reports: Sequence[Path], answers: Sequence[str]
+) -> None:
+    """Print a screen of each audit, and the answers last."""
+    for each in screens:
+        print("\n".join(each), end="\n\n")
     for path in reports:
         print(f"Report: {path}")
-    for each in audits:
-        print(each.answer)
+    print(*answers, sep="\n")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.memory import Memory
+from ...core.registry import describe_error
 from ...detectors import Detector
 from ...detectors.base import has_protection_level, judge_epoch
 from ...envs.context import apply_pace
@@ -135,7 +136,12 @@ class SpooferController:
 
 def _shaped_action(spoofer: Spoofer, seen: NDArray[np.float32]) -> FloatArray:
     """Action of a spoofer: (B, k)."""
-    action = np.asarray(spoofer.act(seen), dtype=np.float64)
+    try:
+        action = np.asarray(spoofer.act(seen), dtype=np.float64)
+    except (LookupError, AttributeError) as error:
+        inner = getattr(spoofer, "spoofer", spoofer)
+        what = f"{type(inner).__name__} raises {describe_error(error)}"
+        raise RuntimeError(what) from error
     names = spoofer.context.action_names
     if action.shape != (len(seen), len(names)):
         raise ValueError(

@@ -456,6 +456,16 @@ def check_labels(entries: tuple[PlayerSpec, ...]) -> None:
         raise ValueError(f"listed twice: {', '.join(names)}{hint}")
 
 
+def specify_detectors(detectors: Iterable[Any]) -> tuple[PlayerSpec, ...]:
+    """Detectors that may be scored together."""
+    entries = tuple(map(specify_detector, detectors))
+    if not entries:
+        raise ValueError("no detector is given")
+    check_labels(entries)
+    refuse_oracles(entries)
+    return entries
+
+
 def fitting(setup: Setup) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of the shipped spoofers of a victim that fit, as a campaign plays them: by their own
     actions and at their own pace. Also why others of it are left out."""

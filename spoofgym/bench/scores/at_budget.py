@@ -37,6 +37,7 @@ from .statistics import (
     Estimate,
     FloatArray,
     draw_resamples,
+    largest_of_share,
     percentiles,
     weighted_quantile,
 )
@@ -93,14 +94,17 @@ class AlarmCurve:
     def compute_mean(self, values: FloatArray, at: FloatArray, samples: FloatArray) -> FloatArray:
         """(S,) mean of `values` (J, R) at an amplitude (S,) of each sample; NaN of no run."""
         with np.errstate(invalid="ignore"):
-            means = (samples @ values.T) / samples.sum(axis=1)[:, None]
+            return self.interpolate((samples @ values.T) / samples.sum(axis=1)[:, None], at)
+
+    def interpolate(self, scores: FloatArray, at: FloatArray) -> FloatArray:
+        """(S,) scores (S, J) of samples at the amplitudes, at one (S,) of each sample."""
         if len(self.amplitudes) == 1:
-            return np.asarray(means[:, 0])
+            return np.asarray(scores[:, 0])
         place = np.searchsorted(self.amplitudes, at) - 1
         low = np.clip(place, 0, len(self.amplitudes) - 2)
         part = (at - self.amplitudes[low]) / np.diff(self.amplitudes)[low]
         each, part = np.arange(len(at)), np.clip(part, 0.0, 1.0)
-        return np.asarray((1.0 - part) * means[each, low] + part * means[each, low + 1])
+        return np.asarray((1.0 - part) * scores[each, low] + part * scores[each, low + 1])
 
     def parts(self) -> dict[str, NDArray[Any]]:
         """Arrays of what another attack is compared with."""
@@ -203,6 +207,18 @@ def score_at_budget(curve: AlarmCurve, budget: float) -> AtBudget:
         counted=curve.runs,
         silent_share=curve.silent_share,
     )
+
+
+def exceed_at_budget(curve: AlarmCurve, budget: float, part: float) -> Estimate:
+    """What is exceeded undetected in a part of the runs, at the amplitude of the budget [m]."""
+    if not curve.runs:
+        return NOTHING
+    samples, name = _draw(curve.sky), MEASURES[0]
+    each = [largest_of_share(x, part, samples) for x in curve.displacement[name]]
+    drawn = curve.interpolate(np.stack(each, axis=1), curve.fit(budget, samples))
+    if curve.factors is not None:
+        drawn *= np.concatenate([[1.0], curve.factors]) ** curve.elasticity.get(name, 0.0)
+    return _estimate(drawn)
 
 
 def compare_at_budget(first: AlarmCurve, second: AlarmCurve, budget: float) -> Estimate:

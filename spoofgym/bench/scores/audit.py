@@ -245,7 +245,7 @@ class Audit:
         measured = "in every window" if rate is None else f"{rate:.2g}/h"
         promise = "thresholds as published"
         if self.requested_per_hour is not None:
-            promise = f"asked {self.requested_per_hour:g}"
+            promise = f"requested {self.requested_per_hour:g}"
         return (
             f"{self.score.detector}: {format_number(found['value'])} m in half of the runs (worst: "
             f"{worst.family}), false alarms {measured} ({promise})"

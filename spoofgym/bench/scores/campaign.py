@@ -32,6 +32,7 @@ from ..runs.record import (
     Protection,
     RunRecord,
     Winner,
+    compute_upper_quantile,
 )
 from .exceeded import draw_exceeded, estimate_exceeded
 from .scores import (
@@ -377,7 +378,9 @@ def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[
         "alarm_rate": wilson(stealth.alarms, stealth.runs).as_json(),
         "within_budget": stealth.seems_to_keep(budget),
         "stealthy_displacement_m": bootstrap_mean(displacement, samples).as_json(),
-        "median_m": round_number(np.median(displacement)) if len(displacement) else None,
+        "exceeded_m": {
+            f"{x:g}": estimate_reach(displacement, x, samples).as_json() for x in SHARES
+        },
         "alarmed_as_0_m": bootstrap_mean(zeroed, samples).as_json(),
         "largest_error_m": float(cell.records["largest_error_m"].mean().round(4)),
         "p_hmi": [
@@ -386,6 +389,16 @@ def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[
         ],
         **compute_times(cell),
     }
+
+
+def estimate_reach(
+    displacement: NDArray[Any], part: float, samples: NDArray[np.float64]
+) -> Estimate:
+    """What is exceeded in a part of the runs [m], with its 95 % interval."""
+    if not len(displacement):
+        return NOTHING
+    drawn = largest_of_share(displacement, part, samples)
+    return percentiles(compute_upper_quantile(displacement, part), drawn)
 
 
 def compute_times(cell: RunRecord) -> dict[str, Any]:

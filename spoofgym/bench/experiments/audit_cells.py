@@ -1,0 +1,341 @@
+"""Cells of an audit: the worst attack of every family, false alarms, ages and the floor."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+from ...core.files import write_file
+from ...core.registry import check_choice, slug, whole_number
+from ...core.settings import compute_digest, describe, outside_sources
+from ...detectors import detector_in_world
+from ...detectors.calibrated import calibrated_parts, list_factors
+from ...tasks import (
+    ANTENNA_PARTS,
+    DETECTOR_TASKS,
+    EVENTS,
+    AttackFamily,
+    DetectorTask,
+    get_detector_task,
+)
+from ..runs.panel import play_searches
+from ..runs.players import add_tuned_setting, specify_spoofer
+from ..runs.record import Protection, Winner
+from ..scores.audit import TRANSFER, AgeProbe, Audit
+from ..scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
+from ..search.amplitude import with_rates
+from ..search.attack_suite import (
+    ROUNDS,
+    FamilyAttacks,
+    Selection,
+    SuiteAttack,
+    expected_plays,
+    play_winners,
+)
+from ..search.bounds import DisplacementBounds
+from ..search.open_loop import AIMS, OpenLoopSearch
+from .audit_sizes import AGES, BUDGETS, FALSE_ALARMS, FLOOR, RAMPS, SEARCHED
+from .audit_worlds import NEAR_ALARM, ScoredDetector, Worlds
+from .runner import Context, Experiment
+from .store import Cell, Reader, Result
+from .suite import DETECTOR_FILE, stored_cards
+
+SIFTED = 4
+"""Part of the selection that sifts, as one in so many."""
+ENTROPY = "entropy"
+"""File of a folder: the entropy that was drawn for its runs."""
+SEARCH_PLAYS = 4000.0
+"""Runs that take about as long as a search for profiles."""
+FLOOR_PLAYS = 500.0
+"""Runs that take about as long as a world of the floor."""
+
+
+def draw_entropy(folder: Path | None) -> int:
+    """Entropy that no detector has seen; of a folder, that of its first audit."""
+    drawn = secrets.randbits(32)
+    if folder is not None:
+        try:
+            write_file(folder / ENTROPY, f"{drawn}\n".encode(), exclusive=True)
+        except FileExistsError:  # another shard's, too
+            drawn = int((folder / ENTROPY).read_text())
+    return drawn
+
+
+class AuditPlan:
+    """What is played to audit detectors of one task, on the same runs. Its arguments are those of
+    `audit`."""
+
+    def __init__(
+        self,
+        task: str | DetectorTask = "D1",
+        budget: str = "standard",
+        *,
+        runs: int | None = None,
+        selection_runs: int | None = None,
+        families: Sequence[str] | None = None,
+        entropy: int | None = None,
+        threads: int | None = None,
+        folder: str | os.PathLike[str] | None = None,
+    ) -> None:
+        self.task = get_detector_task(task) if isinstance(task, str) else task
+        check_choice("budget", budget, BUDGETS)
+        self.budget, self.size = budget, BUDGETS[budget]
+        self.runs = whole_number("`runs`", self.size.runs if runs is None else runs, 2)
+        few = self.size.selection_runs if selection_runs is None else selection_runs
+        few = whole_number("`selection_runs`", few, 4)
+        self.selection = Selection(runs=few, sift_runs=max(few // SIFTED, 1))
+        keys = [each.key for each in self.task.families] if families is None else list(families)
+        if not keys:
+            raise ValueError("`families` must name at least one family of attacks, got none")
+        self.families = tuple(self.task.family(key) for key in dict.fromkeys(keys))
+        root = None if folder is None else Path(folder)
+        self.folder = None if root is None else root / self.task.key
+        drawn = draw_entropy(root) if entropy is None else entropy
+        self.entropy = whole_number("`entropy`", drawn)
+        self.worlds = Worlds(self.task, self.entropy, threads)
+
+
+@dataclass(frozen=True)
+class AuditCells(Experiment):
+    """Worst attacks of every family on every detector, its false alarms, what it finds at several
+    ages, and the floor. `scores_only`: without the last two.
+
+    Detectors that only look share the passes of a family.
+    """
+
+    name: ClassVar[str] = "audit"
+    of: AuditPlan
+    detectors: Sequence[ScoredDetector]
+    scores_only: bool = False
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The task; numbers of runs are of the cells."""
+        task = self.of.task
+        world = describe(task.world_kwargs)
+        return {"task": task.key, "world": world, "alert_limit_m": task.alert_limit_m}
+
+    @cached_property
+    def card(self) -> dict[str, Any]:
+        """What is stored of the task for spoofers that has the same world."""
+        known = self.of.task.key in DETECTOR_TASKS
+        return stored_cards().get(self.of.task.task.key, {}) if known else {}
+
+    @cached_property
+    def parts(self) -> dict[str, tuple[Cell, AttackFamily | str, ScoredDetector]]:
+        """Cells by key, each with its family, or what it is in place of one, and its defence."""
+        found, passive = {}, sum(each.passive for each in self.detectors)
+        for part in (*self.of.families, FALSE_ALARMS, *(() if self.scores_only else (AGES,))):
+            plays, shared = self._expect_plays(part), part != AGES
+            if isinstance(part, AttackFamily):
+                shared = part.onset != NEAR_ALARM
+            name = part if isinstance(part, str) else part.key
+            for each in self.detectors:
+                shares = shared and each.passive
+                group = f"{name}: {f'{passive} detectors' if shares else each.player.label}"
+                key, identity = self._identity(name, part, each)
+                found[key] = Cell(key, identity, plays, group=group), part, each
+        worlds = self.of.size.floor_worlds
+        if not (self.scores_only or worlds == 0 or "floor_m" in self.card):
+            named = {"worlds": worlds, "entropy": self.of.entropy, "rate": self.requested_per_hour}
+            key = f"{FLOOR} {compute_digest(named)[:8]}"
+            work = FLOOR_PLAYS * (worlds or self.of.worlds.world.setup.bounds.worlds)
+            found[key] = Cell(key, named, work, group=FLOOR), FLOOR, self.detectors[0]
+        return found
+
+    def _expect_plays(self, part: AttackFamily | str) -> float:
+        size, runs = self.of.size, float(self.of.runs)
+        if part == AGES:
+            return float(size.twins * size.ages * (len(RAMPS) + 1))
+        if isinstance(part, str):
+            return runs * (1 + len(EVENTS))
+        members = len(self.of.worlds.list_attacks(part))
+        if SEARCHED in part.letters:
+            members += len(AIMS) + len(self.card.get("optima_mps", {}))
+        plays = expected_plays(members, self.of.selection, self.of.runs, ROUNDS)
+        return plays + self.search_plays * (SEARCHED in part.letters)
+
+    @property
+    def search_plays(self) -> float:
+        return SEARCH_PLAYS * self.of.size.search.generations / OpenLoopSearch().generations
+
+    @property
+    def requested_per_hour(self) -> float | None:
+        """Rate of false alarms that the first detector is calibrated to."""
+        parts = calibrated_parts(detector_in_world(self.detectors[0].player.fixed_spec))
+        return max((x.false_alarms_per_hour or 0.0 for x in parts), default=0.0) or None
+
+    def _identity(
+        self, name: str, part: AttackFamily | str, defence: ScoredDetector
+    ) -> tuple[str, dict[str, Any] | None]:
+        """Key of a cell, and all that it depends on; None where no text says that."""
+        key, outside = f"{name} {defence.player.label}", outside_sources(defence.judge)
+        if None in outside.values():
+            return key, None
+        named: dict[str, Any] = {
+            "family": part if isinstance(part, str) else asdict(part),
+            "detector": [defence.player.spec, *list_factors(defence.judge)],
+            "sources": outside,
+            "runs": [self.of.runs, self.of.entropy],
+            "selection": asdict(self.of.selection),
+        }
+        if part == AGES:
+            named["runs"] = [self.of.size.twins, self.of.size.ages, self.of.entropy]
+        elif isinstance(part, AttackFamily) and SEARCHED in part.letters:
+            named["search"] = asdict(self.of.size.search)
+        return f"{key} {compute_digest(named)[:8]}", named
+
+    def cells(self) -> Iterator[Cell]:
+        return (cell for cell, _, _ in self.parts.values())
+
+    def run_group(
+        self, cells: Sequence[Cell], results: Reader, context: Context
+    ) -> Iterator[Result]:
+        """Search against detectors that share their runs, and play what was found."""
+        _, (part, *_), group = zip(*(self.parts[cell.key] for cell in cells), strict=True)
+        worlds, size = self.of.worlds, self.of.size
+        worlds.threads = context.threads
+        if isinstance(part, AttackFamily):
+            yield from self._play_family(part, group, context)
+        elif part == FALSE_ALARMS:
+            yield from self._false_alarms(group)
+        elif part == AGES:
+            for each in group:
+                probe = worlds.probe_ages(each.judge, size.twins, size.ages)
+                yield Result(probe._asdict())
+        else:
+            few, entropy = size.floor_worlds, self.of.entropy
+            bounds = DisplacementBounds(worlds.world, [group[0].player], entropy, floor_worlds=few)
+            yield Result(record=bounds.compute_lower_limit())
+
+    def _play_family(
+        self, family: AttackFamily, group: Sequence[ScoredDetector], context: Context
+    ) -> Iterator[Result]:
+        worlds = self.of.worlds
+        where = {"onset": family.onset, **self.of.task.get_overrides(family)}
+        own: list[tuple[SuiteAttack, ...]] = [worlds.list_attacks(family)] * len(group)
+        heads: list[dict[str, Any]] = [{"detector": each.player.label} for each in group]
+        transfers: tuple[SuiteAttack, ...] = ()
+        if SEARCHED in family.letters:
+            share, transfers = self.search_plays / len(group), self._list_transfers()
+            tick = lambda part: context.tick(share * part)  # noqa: E731
+            for k, each in enumerate(group):
+                curves, bound = worlds.search_open_loop(each, self.of.size.search, tick)
+                own[k], heads[k]["zero_alarm"] = (*own[k], *curves), bound
+        winners = self._find_worst(where, group, own, context)
+        if transfers:  # apart, so that the best of both kinds are compared
+            others = self._find_worst(where, group, [transfers] * len(group), context)
+            winners = [(*mine, *theirs) for mine, theirs in zip(winners, others, strict=True)]
+        panel = worlds.panel(group, "evaluation", self.of.runs, **where)
+        for k, (head, worst) in enumerate(zip(heads, winners, strict=True)):
+            found = Protection(head, worst, panel.counts[:, k], panel.sky, None)
+            yield Result(*found.parts())
+
+    def _find_worst(
+        self,
+        where: Mapping[str, Any],
+        group: Sequence[ScoredDetector],
+        own: Sequence[tuple[SuiteAttack, ...]],
+        context: Context,
+    ) -> list[tuple[Winner, ...]]:
+        """The worst of each detector's attacks, chosen on the selection, on the evaluation runs."""
+        worlds, limit, settings = self.of.worlds, self.of.task.alert_limit_m, self.of.selection
+        panel = worlds.panel(group, "selection", settings.runs, **where)
+        antenna = ANTENNA_PARTS[0] * limit, ANTENNA_PARTS[1] * limit
+        searches = [
+            FamilyAttacks(panel, k, attacks, settings, antenna_m=antenna)
+            for k, attacks in enumerate(own)
+        ]
+        requests = [(each.number, each.winners([limit])) for each in searches]
+        chosen = list(zip(searches, play_searches(panel, requests, context.tick), strict=True))
+        panel = worlds.panel(group, "evaluation", self.of.runs, **where)
+        return play_winners(panel, chosen, context.tick)
+
+    def _list_transfers(self) -> tuple[SuiteAttack, ...]:
+        """Profiles that are stored as found against other detectors in the task's world."""
+        spoofer = specify_spoofer(add_tuned_setting({"name": "open-loop"}))
+        stored = self.card.get("optima_mps", {}).values()
+        return tuple(SuiteAttack(TRANSFER, with_rates(spoofer, rates)) for rates in stored)
+
+    def _false_alarms(self, group: Sequence[ScoredDetector]) -> Iterator[Result]:
+        """Alarms of detectors in runs without an attack, with an event and without."""
+        worlds, runs = self.of.worlds, (group, "evaluation", self.of.runs)
+        clean = worlds.panel(*runs)
+        alarms = {WINDOW: clean.twin_alarm > 0, CLEAN: clean.warmup_alarm | (clean.twin_alarm > 0)}
+        for event in EVENTS:  # all runs have it; their noise is the same
+            domain = {**self.of.task.world_kwargs["domain"], "events": {event: 1.0}}
+            panel = worlds.panel(*runs, domain=domain)
+            alarms[event] = panel.warmup_alarm | (panel.twin_alarm > 0)
+        for k in range(len(group)):
+            yield Result({name: alarmed[:, k] for name, alarmed in alarms.items()})
+
+    def scores(self, results: Reader) -> list[DetectorScore]:
+        task, limit = self.of.task, self.of.task.alert_limit_m
+        families: dict[str, list[FamilyScore]] = {each.player.label: [] for each in self.detectors}
+        alarms = {}
+        for key, (_, part, defence) in self.parts.items():
+            label = defence.player.label
+            if part == FALSE_ALARMS:
+                alarms[label] = dict(results[key].arrays)
+            elif isinstance(part, AttackFamily):
+                found = results[key]
+                worst = Protection.from_parts(found.arrays, found.record)
+                families[label].append(FamilyScore(part.key, part.held_out, limit, worst))
+        return [
+            DetectorScore(
+                task=task.key,
+                detector=label,
+                alert_limit_m=limit,
+                runs=self.of.runs,
+                selection_runs=self.of.selection.runs,
+                entropy=self.of.entropy,
+                families=tuple(each),
+                false_alarms=alarms[label],
+                window_s=self.of.worlds.world.setup.window_s,
+            )
+            for label, each in families.items()
+        ]
+
+    def report(self, results: Reader) -> dict[str, Any]:
+        return self.conclude(results).as_dict()
+
+    def conclude(self, results: Reader) -> Audit:
+        """Audit of the first detector; the worst attacks are written beside its results."""
+        parts = {part: key for key, (_, part, _) in self.parts.items() if isinstance(part, str)}
+        limits = results[parts[FLOOR]].record if FLOOR in parts else self.card
+        first, size = self.detectors[0], self.of.size
+        found = Audit(
+            score=self.scores(results)[0],
+            title=self.of.task.title,
+            budget=self.of.budget,
+            requested_per_hour=self.requested_per_hour,
+            probe=AgeProbe(**results[parts[AGES]].arrays),
+            floor_m=limits.get("floor_m"),
+            reference=self._find_reference(),
+            cost_us=self.of.worlds.measure_cost(first.judge, size.ages)[0],
+        )
+        if self.of.folder is not None:
+            for name, spec in found.attacks.items():
+                path = self.of.folder / "attacks" / f"{slug(first.player.label)}-{name}.json"
+                write_file(path, (json.dumps(spec) + "\n").encode())
+        return found
+
+    def _find_reference(self) -> dict[str, Any] | None:
+        """Stored score of the best non-learned detector: in this task, or in the campaign of the
+        task for spoofers."""
+        if scored := stored_cards(DETECTOR_FILE).get(self.of.task.key):
+            best, by = scored["best_classic"], "audit"
+            row = next(each for each in scored["detectors"] if each["detector"] == best)
+            exceeded = row["exceeded_m"]
+        elif self.card:
+            best, by = self.card["detector"], "campaign"
+            exceeded = self.card["protection_m"][best]
+        else:
+            return None
+        return {"detector": best, "by": by, "exceeded_m": exceeded}

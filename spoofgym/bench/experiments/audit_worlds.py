@@ -1,0 +1,236 @@
+"""Runs of an audit: a task's worlds at their onsets, and one detector at several ages."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.settings import compute_digest, describe
+from ...detectors import Detector, LearnedDetector, detector_in_world
+from ...detectors.calibrated import resolve_thresholds, unwrap
+from ...envs.context import spoofer_context
+from ...simulation.setup import Setup
+from ...simulation.simulator import weighs
+from ...tasks import CANDIDATES, AttackFamily, DetectorTask
+from ..runs.panel import NearAlarm, Panel, generators, in_any_world, select_runs
+from ..runs.play import Runs, WarmStart, play
+from ..runs.players import (
+    ATTACK,
+    TUNED,
+    PlayerSpec,
+    add_tuned_setting,
+    specify_detectors,
+    specify_spoofer,
+)
+from ..runs.record import MEASURES, record_runs
+from ..runs.world import World
+from ..scores.audit import AgeProbe
+from ..scores.statistics import BUDGET
+from ..search.amplitude import Tuning, with_rates
+from ..search.attack_suite import SuiteAttack, list_fitting_attacks
+from ..search.bounds import DisplacementBounds
+from ..search.open_loop import OpenLoopSearch, Optima
+from .audit_sizes import AGAIN, AGES_S, ALIKE, LIVE_AFTER_S, RAMPS
+from .training_attacks import QUIET_TASKS
+
+SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
+"""Profiles of the letter c."""
+CACHED_PANELS = 24
+"""Panels that are held in memory, the youngest ones."""
+NEAR_ALARM = "chance-alarm"
+"""Onset of which every detector has its own runs."""
+TIMED, TIMED_EPOCHS = 64, 40
+"""Receivers and epochs by which a detector's time is measured."""
+
+
+class ScoredDetector(NamedTuple):
+    """A detector with its thresholds, and whether it shares passes of the engine."""
+
+    player: PlayerSpec
+    judge: Detector
+    passive: bool
+
+
+def find_trained_holdout(judge: Detector, task: DetectorTask) -> str | None:
+    """Family that a task holds out, and that a detector has learned from, as its card has it."""
+    inner = unwrap(judge)
+    training = inner.card.training if isinstance(inner, LearnedDetector) else {}
+    if "held_out" not in training:  # not learned, or not from a data set of spoofgym
+        return None
+    met = "quiet" if training.get("task") in QUIET_TASKS else "inherited"
+    return met if met in {family.key for family in task.held_out} else None
+
+
+class Worlds:
+    """Worlds of one task, with and without an attack, and runs in them at their onsets."""
+
+    def __init__(self, task: DetectorTask, entropy: int, threads: int | None) -> None:
+        self.task, self.entropy, self.threads = task, entropy, threads
+        self._setups: dict[str, Setup] = {}
+        self._panels: dict[Any, Panel] = {}
+
+    @cached_property
+    def world(self) -> World:
+        return World(settings=self.task.world_kwargs)
+
+    def setup(self, **overrides: Any) -> Setup:
+        """World of a family, or with an event, without a defence."""
+        key = compute_digest(describe(overrides))
+        if key not in self._setups:
+            self._setups[key] = self.world.copy_with(**overrides).setup
+        return self._setups[key]
+
+    def build_detectors(self, detectors: Iterable[Any]) -> list[ScoredDetector]:
+        """Detectors with their thresholds of the task's world; warns of one that has learned from
+        what the task holds out, as its card has it."""
+        specs = list(detectors)
+        entries, world, found = specify_detectors(specs), self.world.setup, []
+        for entry, spec in zip(entries, specs, strict=True):
+            judge = detector_in_world(spec)
+            resolve_thresholds(judge, world)
+            if met := find_trained_holdout(judge, self.task):
+                warnings.warn(
+                    f"{entry.label} has learned from {met} counterfeits, which {self.task.key} "
+                    "holds out: its score is not that of a detector that has never met them",
+                    UserWarning,
+                    stacklevel=2,
+                )
+            settled = in_any_world(judge)
+            found.append(ScoredDetector(entry, settled, not weighs(world, settled)))
+        return found
+
+    def panel(
+        self,
+        group: Sequence[ScoredDetector],
+        split: str,
+        runs: int,
+        onset: str | None = None,
+        **overrides: Any,
+    ) -> Panel:
+        """Runs of a split at their onsets, for detectors that share them, in an altered world."""
+        # two files may have one label; a panel keeps its judges, and so their ids
+        judged = tuple(id(each.judge) for each in group)
+        key = compute_digest(describe({"of": overrides, "onset": onset})), judged, split, runs
+        if key not in self._panels:
+            while len(self._panels) >= CACHED_PANELS:  # families in the same world share theirs
+                del self._panels[next(iter(self._panels))]
+            setup, judges = self.setup(**overrides), [each.judge for each in group]
+            near = onset == NEAR_ALARM
+            count, condition = (CANDIDATES * runs, None) if near else (runs, onset)
+            numbers = select_runs(setup, self.entropy, split, count, condition)
+            rngs = lambda: generators(setup, self.entropy, split, numbers)  # noqa: E731
+            self._panels[key] = (
+                NearAlarm(setup, judges[0], rngs, self.threads)
+                if near
+                else Panel(setup, judges, rngs, self.threads)
+            )
+        return self._panels[key]
+
+    def start_at_ages(self, judge: Detector, runs: int, ages: int, youngest: int = 0) -> WarmStart:
+        """The same runs at each of the first ages in front of a detector, those of the first age
+        first; `youngest`: so many of the first age alone. All at their onset where a task draws no
+        ages."""
+        settings, given = self.task.world_kwargs, None
+        changed, times = {}, AGES_S[:ages]
+        if "age_s" in settings["domain"]:
+            changed["domain"] = {**settings["domain"], "age_s": [times[0], times[-1]]}
+            phases = {"warmup_s": times[0], "live_s": times[0] - LIVE_AFTER_S}
+            changed["timeline"] = {**settings["timeline"], **phases}
+            given = {"age_s": np.repeat(times, runs)[: youngest or None]}
+        setup = self.setup(**changed).copy_with(detector=in_any_world(judge))
+        numbers = np.tile(np.arange(runs), ages if given else 1)[: youngest or None]
+        rngs = generators(setup, self.entropy, "evaluation", numbers)
+        return WarmStart(setup, rngs, threads=self.threads, given=given)
+
+    def probe_ages(self, judge: Detector, twins: int, ages: int) -> AgeProbe:
+        """Play the same ramps in so many runs at each of the first ages, and the youngest twice."""
+        start, limit = self.start_at_ages(judge, twins, ages), self.task.alert_limit_m
+        clean, setup = play(start, "none"), start.setup
+        most, attack_s = spoofer_context(setup).rate_limit_mps, setup.steps * setup.interval_s
+        rates = [min(part * limit / attack_s, most) for part in RAMPS]
+        ramps = [play(start, {"name": "ramp", "rate_mps": rate}) for rate in rates]
+        early = start.warmup_alarm
+        each = [record_runs(setup, {}, early, runs, clean, limit).records for runs in ramps]
+        found = {name: np.array([records[name] for records in each]) for name in each[0]}
+        first, crossing = found["first_alarm"], found["crossing"]
+        late = (first == 0) | (first > crossing + setup.hold)
+        judged = start.simulator.verdict
+        threshold = np.full(start.receivers, np.nan)
+        if judged is not None:
+            threshold = judged.threshold.mean(axis=1)
+
+        def by_age(values: NDArray[Any]) -> NDArray[Any]:
+            return values.reshape(*values.shape[:-1], -1, twins)
+
+        counts = ~early & (clean.first_alarm == 0)
+        again = self.start_at_ages(judge, twins, ages, min(AGAIN, twins))
+        return AgeProbe(
+            age_s=np.round(by_age(start.simulator.ages * setup.interval_s).mean(axis=1), 3),
+            rate_mps=np.array(rates),
+            counts=by_age(counts),
+            found=by_age(first > 0),
+            crossed=by_age(crossing > 0),
+            missed=by_age((crossing > 0) & late),
+            displacement=by_age(found[MEASURES[0]]),
+            threshold=by_age(threshold).mean(axis=1),
+            sky=by_age(found["sky"][0])[0],
+            alike=np.array(_compare_twice(start, clean, again)),
+        )
+
+    def measure_cost(self, judge: Detector, ages: int) -> tuple[float, float]:
+        """Time of a processor that a detector takes for an epoch of a receiver, and the whole
+        simulation [us]."""
+        simulator = self.start_at_ages(judge, TIMED, ages, TIMED).engine().simulator
+        spent, begun = 0.0, time.process_time()
+        for _ in range(TIMED_EPOCHS):
+            simulator.advance()
+            now = time.process_time()
+            verdict = simulator.judge()
+            spent += time.process_time() - now
+            simulator.update(verdict.weights)
+        scale = 1e6 / (TIMED * TIMED_EPOCHS)
+        return scale * spent, scale * (time.process_time() - begun)
+
+    def search_open_loop(
+        self, detector: ScoredDetector, settings: OpenLoopSearch, tick: Callable[[float], None]
+    ) -> tuple[tuple[SuiteAttack, ...], dict[str, Any]]:
+        """Best profiles that a search finds against a detector, for each of its aims; and the
+        zero-alarm bound."""
+        bounds = DisplacementBounds(self.world, [detector.player], self.entropy, BUDGET)
+        limit = self.task.alert_limit_m
+        optima = Optima(
+            bounds, Tuning(), threads=self.threads, alert_limit_m=limit, settings=settings
+        )
+        spoofer = specify_spoofer(add_tuned_setting({"name": "open-loop"}))
+        found = optima.find(detector.player, spoofer, tick)["aims"]
+        curves = {tuple(each["rates_mps"]) for each in found.values()}
+        attacks = tuple(SuiteAttack("c", with_rates(spoofer, [*x])) for x in sorted(curves))
+        return attacks, bounds.zero_alarm(detector.player).as_json()
+
+    def list_attacks(self, family: AttackFamily) -> tuple[SuiteAttack, ...]:
+        """Attacks of a family, each with one setting that is looked for; none of one whose profiles
+        are looked for, too."""
+        if family.letters == "m":
+            spec = {**(family.attack or {}), "antenna_m": TUNED}
+            return (SuiteAttack("m", PlayerSpec("meaconer", ATTACK, spec, "antenna_m")),)
+        setup = self.setup(**self.task.get_overrides(family))
+        suite = list_fitting_attacks(setup, spoofer_context(setup))
+        found = [member for member in suite if member.letter in family.letters]
+        if "c" in family.letters:
+            shipped = (specify_spoofer(add_tuned_setting(name)) for name in SHIPPED)
+            found += [SuiteAttack("c", player) for player in shipped]
+        return tuple(found)
+
+
+def _compare_twice(start: WarmStart, clean: Runs, again: WarmStart) -> bool:
+    """Whether a detector says the same of the same epochs in a smaller batch."""
+    few, twin = again.receivers, play(again, "none")
+    same = np.array_equal(twin.first_alarm, clean.first_alarm[:few])
+    same &= np.array_equal(again.warmup_alarm, start.warmup_alarm[:few])
+    return bool(same and np.allclose(twin.peak, clean.peak[:few], rtol=ALIKE, equal_nan=True))

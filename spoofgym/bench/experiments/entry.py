@@ -1,0 +1,109 @@
+"""An entry of a leaderboard: a folder with a player, its files, and what it is said to reach."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path, PurePath
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import Field, ValidationError
+
+from ...core.reading import read_json
+from ...core.registry import parse_spec
+from ...policies.card import NAME, Record, format_error
+from ...policies.onnx_file import SUFFIX
+from ...tasks import get_detector_task
+
+FILE = "entry.json"
+ROUNDING = 0.01
+"""Part of a figure that a claim may be rounded by."""
+LARGEST_ENTRY = 2**20
+"""Bytes of its file."""
+FileName = Annotated[str, Field(pattern=rf"^{NAME}$")]
+Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+Figures = dict[str, float | dict[str, float | dict[str, float | dict[str, float]]]]
+
+
+def list_player_files(player: str) -> set[str]:
+    """Files that a player is made of, as far as its name says."""
+    name = str(parse_spec(player)["name"])
+    if name.endswith(SUFFIX):
+        return {name, str(PurePath(name).with_suffix(".json"))}
+    return {f"{name.partition(':')[0]}.py"} if ":" in name else set()
+
+
+class Entry(Record):
+    """What an entry says of itself.
+
+    - `suite`, `task`: by which it was audited;
+    - `name`, `who`: of the player, and who has made it;
+    - `player`: as `spoofgym audit` takes it in the entry's folder;
+    - `files`: SHA-256 of each, by its name in the folder;
+    - `figures`: those of `spoofgym audit --json` that it claims, each by its value alone.
+    """
+
+    format: Literal[1]
+    suite: str
+    task: str
+    side: Literal["detector", "spoofer"]
+    name: FileName
+    who: str = Field(min_length=1, max_length=200)
+    player: str = Field(min_length=1)
+    files: dict[FileName, Digest]
+    figures: Figures = Field(min_length=1)
+
+    @classmethod
+    def load(cls, folder: Path) -> Entry:
+        """Read the entry in a folder; a ValueError says what is wrong with it or its files."""
+        path = folder / FILE
+        try:
+            entry = cls.model_validate(read_json(path, most=LARGEST_ENTRY), strict=True)
+        except ValidationError as error:
+            raise ValueError(f"{path}: {format_error(error)}") from error
+        suite = get_detector_task(entry.task).suite
+        if entry.suite != suite:
+            raise ValueError(
+                f"{path} is of the suite {entry.suite!r}, {entry.task} of {suite!r}: audit it again"
+            )
+        for name in sorted(list_player_files(entry.player) - {*entry.files}):
+            raise ValueError(f"{path} must have the digest of {name} in `files`, which it plays")
+        for name, digest in entry.files.items():
+            if not (folder / name).is_file():
+                raise ValueError(f"{path} names the file {name}, which is not in {folder}")
+            if (found := hashlib.sha256((folder / name).read_bytes()).hexdigest()) != digest:
+                raise ValueError(f"{folder / name} is another file than {FILE} says: {found}")
+        return entry
+
+
+class Figure(NamedTuple):
+    """A figure that an entry claims, beside the one that was played with its 95 % interval."""
+
+    name: str
+    claimed: float
+    value: float | None
+    low: float | None
+    high: float | None
+
+    @property
+    def holds(self) -> bool:
+        if self.low is None or self.high is None:
+            return False
+        return (1.0 - ROUNDING) * self.low <= self.claimed <= (1.0 + ROUNDING) * self.high
+
+
+def compare_figures(claimed: Any, found: Any, name: str = "") -> Iterator[Figure]:
+    """Compare figures that are claimed with an audit, as ``--json`` prints it."""
+    if isinstance(found, list):  # rows, each of a detector or a family
+        found = {str(row.get("family") or row.get("detector")): row for row in found}
+    if not isinstance(found, Mapping):
+        raise ValueError(f"an audit has no figure {name!r} with an interval")
+    if isinstance(claimed, Mapping):
+        for key, each in claimed.items():
+            if key not in found:
+                raise ValueError(f"an audit has no figure {key!r}; valid: {', '.join(found)}")
+            yield from compare_figures(each, found[key], f"{name} {key}".strip())
+    elif not {"value", "low", "high"} <= {*found}:
+        raise ValueError(f"an audit has no figure {name!r} with an interval")
+    else:
+        yield Figure(name, float(claimed), *(found[key] for key in ("value", "low", "high")))

@@ -1,0 +1,102 @@
+"""Audits of a spoofer: its figures are those of a campaign at exactly the budget, and go on."""
+
+import json
+
+import numpy as np
+import pytest
+
+from spoofgym.bench.experiments import suite
+from spoofgym.bench.experiments.campaign import CampaignResults
+from spoofgym.bench.scores.at_budget import AlarmCurve, exceed_at_budget
+from spoofgym.tasks import DETECTOR_TASKS
+
+from ..command_line import call, read, refused
+from ..detectors.learned.files import write_guard
+from .detector_support import NOMINAL, small_task
+
+OWN = """
+from spoofgym.spoofers import Ramp
+
+class Key(Ramp):
+    def __init__(self, **settings):
+        raise KeyError("rate")
+
+class Acts(Ramp):
+    def act(self, seen):
+        return {}[0]
+"""
+
+
+@pytest.fixture(autouse=True)
+def few_detectors(monkeypatch):
+    found = [{"name": "never"}, {"name": "snapshot-chi2", **NOMINAL}]
+    monkeypatch.setattr(suite, "list_standard_detectors", lambda task=None: found)
+    monkeypatch.setitem(DETECTOR_TASKS, "D1", small_task())
+
+
+def words(folder, *more):
+    sizes = ["--budget", "quick", "--runs", "12", "--threads", "1", "--seed", "3"]
+    return ["audit", *sizes, "--out", str(folder), *more]
+
+
+def test_a_spoofer_meets_the_detectors_of_the_suite_beside_the_usual_attacks(tmp_path, monkeypatch):
+    (found,) = read(*words(tmp_path, "--spoofer", "ramp", "--json"))
+    never, snapshot = found["detectors"]
+    assert [row["detector"] for row in (never, snapshot)] == ["never", "snapshot-chi2"]
+    assert set(snapshot["others"]) == {"open-loop", "accelerating-ramp"}
+    moved = snapshot["exceeded_m"]["0.5"]
+    assert moved["low"] <= moved["value"] <= moved["high"] < never["exceeded_m"]["0.5"]["value"]
+    assert moved["low"] < moved["high"]  # the fit is in it
+    assert 0.0 < found["floor_m"]["half"]["value"] < found["floor_m"]["few"]["value"]
+    cells = CampaignResults.load(tmp_path / "small-ramp-tuned")
+    monkeypatch.setattr("spoofgym.bench.experiments.campaign.Panel", None)  # nothing plays again
+    result = call(*words(tmp_path, "--spoofer", "ramp"))
+    lines = result.stdout.splitlines()
+    assert lines[-1] == found["answer"]
+    assert lines[-2] == f"Report: {cells.path / 'report.html'}"
+    assert max(map(len, lines[:-2])) <= 100
+    assert (cells.path / "report.html").is_file()
+    assert json.loads((cells.path / "summary.json").read_text())["entropy"] == 3
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (
+            ["ewma", "--spoofer", "ramp"],
+            "of a DETECTOR, a --spoofer or an entry, by --check: give one",
+        ),
+        ([], "of a DETECTOR, a --spoofer or an entry, by --check: give one"),
+        (["--spoofer", "none"], "attacks nothing"),
+        (["--spoofer", "raises:Any"], "raises ZeroDivisionError when it is imported"),
+        (["--spoofer", "own:Key"], "spoofer 'own:Key': KeyError: 'rate'"),
+        (["--spoofer", "own:Acts"], "Acts raises KeyError: 0"),
+        (["--spoofer", "guard.onnx"], "is that of a detector policy, which is no spoofer"),
+        (["--spoofer", "ewma-ppo"], "'ewma-ppo' does not fit this attack"),
+        (["--spoofer", "ramp", "--family", "ramps"], "are options of a detector's audit"),
+    ],
+)
+def test_wrong_input_gets_one_line(given, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "raises.py").write_text("1 / 0\n")
+    (tmp_path / "own.py").write_text(OWN)
+    write_guard(tmp_path, threshold=0.9)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert message in refused(*words("out", *given))
+
+
+def test_what_is_exceeded_at_the_budget_lies_between_the_amplitudes_played():
+    runs = np.arange(40.0)
+    curve = AlarmCurve(
+        amplitudes=np.array([1.0, 2.0]),
+        alarm_amplitude=1.0 + runs / 39.0,
+        displacement={"undetected_displacement_m": np.stack([runs, 2.0 * runs])},
+        alarmed=np.zeros((2, 40), dtype=bool),
+        sky=np.arange(40),
+        chosen=1.0,
+    )
+    # a quarter alarm at a quarter of the way, and half of the runs are beyond their 20th largest
+    at = (0.25 * 40 - 1) / 39.0
+    found = exceed_at_budget(curve, 0.25, 0.5)
+    assert found.value == pytest.approx((1.0 + at) * 20.0)
+    assert found.low < found.value < found.high
