@@ -24,10 +24,12 @@ CONTENTS = """
 :hidden:
 :caption: Start
 docs/README
+docs/environments
 docs/catalogue
 docs/command_line
 docs/glossary
 docs/simulated
+docs/costs
 docs/own_data
 docs/logs
 docs/train_your_own
@@ -56,6 +58,12 @@ docs/scores
 docs/limits
 docs/checks
 docs/rendering
+```
+```{toctree}
+:hidden:
+:glob:
+:caption: One environment each
+docs/environments/*
 ```
 ```{toctree}
 :hidden:

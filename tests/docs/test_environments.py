@@ -1,0 +1,26 @@
+"""The pages of environments are made from what is registered."""
+
+import re
+
+import gymnasium as gym
+import pytest
+
+from tools.environments_page import IDS, build_detector_page, build_spoofer_page
+
+from .pages import text_of
+
+SLOW = [pytest.param(x, marks=pytest.mark.nightly) for x in ("TightlyCoupled", "Offsets")]
+
+
+@pytest.mark.parametrize("name", [*SLOW, *(IDS.keys() - {"TightlyCoupled", "Offsets"})])
+def test_a_page_is_that_of_its_environment(name):
+    assert text_of(f"environments/{name}.md") == build_spoofer_page(name)
+
+
+def test_the_detector_has_a_page_and_every_id_is_in_the_index():
+    assert text_of("environments/DetectorView.md") == build_detector_page()
+    index = text_of("environments.md")
+    named = {f"spoofgym/{name}" for name in re.findall(r"`(?:spoofgym/)?(\w+-v\d+)`", index)}
+    for first, last in re.findall(r"`(Bench[A-Z]\d-v\d)` to `(Bench[A-Z]\d-v\d)`", index):
+        named |= {f"spoofgym/{first[:6]}{k}{first[7:]}" for k in range(1, int(last[6]) + 1)}
+    assert {name for name in gym.registry if name.startswith("spoofgym/")} == named
