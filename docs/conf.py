@@ -56,6 +56,7 @@ docs/promises
 docs/reliability
 docs/scores
 docs/limits
+docs/validation
 docs/checks
 docs/rendering
 ```
