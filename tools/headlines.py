@@ -28,7 +28,7 @@ from spoofgym.core.settings import compute_digest
 from spoofgym.spoofers.base import sees_statistics
 from tools.pages import DOCS, marks, put_between, render_page
 
-DATA_FILE, PAGE = DOCS / "headlines.json", DOCS / "scores.md"
+DATA_FILE, PAGE = DOCS / "headlines.json", DOCS / "suite.md"
 START, END = marks("headlines")
 COMMAND = ["bench"]
 WORLD, FIRST = "S1", "trolley"

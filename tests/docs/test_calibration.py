@@ -20,11 +20,12 @@ from .pages import play, text_of
 # as users have it
 pytestmark = pytest.mark.usefixtures("default_rate")
 
-PAGE = "calibration.md"
+PAGE, WORLDS = "calibration.md", "calibration_worlds.md"
 
 
 def test_the_code_runs_in_its_order(monkeypatch):
-    page = play(PAGE, monkeypatch, [("runs=1000", "runs=24")])
+    assert play(PAGE, monkeypatch).env.unwrapped.core.setup.detector
+    page = play(WORLDS, monkeypatch, [("runs=1000", "runs=24")])
     assert page.env.unwrapped.core.setup.detector.point.false_alarms_per_hour == 0.2
     assert [each.detector["name"] for each in page.found] == ["snapshot-chi2", "ewma"]
     assert [each.runs for each in page.held] == [24, 24]
