@@ -57,8 +57,8 @@ def build_tables(kept: dict[str, Any]) -> str:
     for name, command in COMMANDS.items():
         cpu_s, memory_mb = kept["rows"].get(name, {"cpu_s": None, "memory_mb": "-"}).values()
         minutes = "not measured" if cpu_s is None else f"{cpu_s / 60.0:.1f}"
-        shown = command.partition(" --out {out}")[0]
-        rows.append((name, f"`spoofgym {shown}`", minutes, str(memory_mb)))
+        shown = f"`spoofgym {command.partition(' --out {out}')[0]}`"
+        rows.append((name, shown, minutes, str(memory_mb)))
     measured = Table.of_texts("row", "command", "CPU [min]", "largest process [MB]").markdown(rows)
     stored = Table.of_texts("stored results of", "on the clock [min]").markdown(read_stored())
     return f"Measured on: {kept['machine']}.\n\n{measured}\n\nOf stored results:\n\n{stored}\n"

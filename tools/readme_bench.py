@@ -65,6 +65,7 @@ def shown(world: dict[str, Any], residual: dict[str, Any]) -> str:
     )
     learned = [_describe_learned(*each) for each in residual["detectors"].items()]
     values = {"learned": learned, "table": table.markdown(SHOWN), "over": OVER}
+    values["whole"] = metres(cells["never", "ramp"]["stealthy_displacement_m"]["value"])
     return render_page("bench.md.j2", world=world, **values)
 
 
