@@ -1,6 +1,4 @@
-"""The ledger of `docs/validation.md`: what is validated against what, and what is modelled only.
-
-python -m tools.validation
+"""The ledger of `docs/validation.md`: ``python -m tools.validation``.
 
 Figures come from stored results, and from the tests that prove them; none is written by hand.
 """
@@ -34,8 +32,7 @@ def read_test(node: str) -> str:
 def read_figure(row: Mapping[str, str]) -> str:
     """Figure of a row of the ledger, as its test asserts it."""
     found = re.search(row["find"], read_test(row["test"]))
-    if found is None:
-        raise ValueError(f"{row['test']} has no {row['find']!r}")
+    assert found is not None, row
     return row["figure"].format(*found.groups())
 
 
