@@ -139,7 +139,7 @@ def test_a_task_a_side_or_a_pool_alone_chooses_the_environment():
         ({"side": "detector", "detector": "ewma"}, ValueError, "the detector is the learner"),
         ({"weights": [1.0]}, ValueError, "`weights` needs a `pool`"),
         ({"env_id": "spoofgym/Snapshot-v0", "side": "detector"}, ValueError, "has none"),
-        ({"pool": ["never"], "foo": 1}, TypeError, "has no argument 'foo'"),
+        ({"pool": ["never"], "foo": 1}, TypeError, "got an unexpected keyword argument 'foo'"),
         ({"pool": []}, ValueError, "`pool` must have at least one opponent, got none"),
         ({"seed": 1.5}, ValueError, "`seed` must be a whole number of at least 0, got 1.5"),
         ({"infos": ["costs"]}, ValueError, r"unknown info 'costs'.*did you mean 'cost'"),

@@ -21,7 +21,7 @@ from spoofgym.core.registry import check_choice, format_label
 from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, get_detector_task
 from tools.pages import DOCS, ROOT, keep_cards, put_between, render_page
 
-CARD_FILE, PAGE = ROOT / "spoofgym" / "bench" / tasks.DETECTOR_FILE, DOCS / "tasks.md"
+CARD_FILE, PAGE = ROOT / "spoofgym" / "bench" / tasks.DETECTOR_FILE, DOCS / "detector_tasks.md"
 START, END = "<!-- detector-cards:begin -->", "<!-- detector-cards:end -->"
 
 

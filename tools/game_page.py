@@ -1,4 +1,4 @@
-"""Tables of `docs/game.md`: ``python -m tools.game_page runs/game``, of a `train.double_oracle`."""
+"""Tables of `docs/double_oracle.md`, of a `train.double_oracle`: ``tools.game_page runs/game``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from agents.game_page import select_results, shown
 
 from .pages import DOCS, parse_folders, put_between
 
-PAGE, DATA_FILE = DOCS / "game.md", DOCS / "game.json"
+PAGE, DATA_FILE = DOCS / "double_oracle.md", DOCS / "game.json"
 START, END = "<!-- game:begin -->", "<!-- game:end -->"
 
 

@@ -28,7 +28,7 @@ from spoofgym.core.settings import compute_digest
 from spoofgym.spoofers.base import sees_statistics
 from tools.pages import DOCS, marks, put_between, render_page
 
-DATA_FILE, PAGE = DOCS / "headlines.json", DOCS / "scores.md"
+DATA_FILE, PAGE = DOCS / "headlines.json", DOCS / "suite.md"
 START, END = marks("headlines")
 COMMAND = ["bench"]
 WORLD, FIRST = "S1", "trolley"
@@ -97,7 +97,7 @@ def shown(kept: dict[str, Any]) -> str:
 
 
 def _tables(world: dict[str, Any]) -> str:
-    """A row for each detector; of an attack its stealthy displacement."""
+    """Two tables, of scores and of attacks by their stealthy displacement; a row a detector."""
     columns = [report.DETECTORS[name]._replace(title=title) for title, name in COLUMNS.items()]
     cells = {(cell["detector"], extract_name(cell["spoofer"])): cell for cell in world["cells"]}
     met = {extract_name(cell["spoofer"]): cell["knowledge"]["run_time"] for cell in world["cells"]}
@@ -111,9 +111,10 @@ def _tables(world: dict[str, Any]) -> str:
         )
         for name in spoofers
     )
-    table = Table(*columns, *attacks, report.DETECTORS["mark"])
-    found = report.groups(world)
-    return "\n".join(table.markdown(report.detector_rows(world, group)) for group in found)
+    several = [*columns, *attacks, report.DETECTORS["mark"]]
+    rows = [report.detector_rows(world, group) for group in report.groups(world)]
+    halves = several[:7], [several[0], *several[7:]]
+    return "\n\n".join(Table(*half).markdown(each) for each in rows for half in halves)
 
 
 def _displacement(cell: dict[str, Any]) -> str:

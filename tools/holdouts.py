@@ -29,7 +29,7 @@ from spoofgym.simulation.simulator import weighs
 from tools.calibrations import HEADLINES, build_setup, list_detectors
 from tools.pages import DOCS, put_between, render_page
 
-DATA_FILE, PAGE = DOCS / "holdouts.json", DOCS / "calibration.md"
+DATA_FILE, PAGE = DOCS / "holdouts.json", DOCS / "calibration_worlds.md"
 START, END = "<!-- holdouts:begin -->", "<!-- holdouts:end -->"
 TRANSFERRED = 1_000
 """Runs in another world."""

@@ -1,4 +1,4 @@
-"""Tables and pictures of `docs/learned_spoofers.md`, from results of trainings.
+"""Tables and pictures of `docs/learned_*.md`, from results of trainings.
 
     python -m tools.learned_page runs/ppo-T3 runs/ppo-T5 runs/plain-T3 runs/spoofers runs/refits
 
@@ -26,7 +26,7 @@ from .pages import DOCS, marks, parse_folders, put_between
 from .refits import RESULTS as REFITS
 from .refits import table as table_of_refits
 
-PAGE, DATA_FILE = DOCS / "learned_spoofers.md", DOCS / "learned_spoofers.json"
+DATA_FILE = DOCS / "learned_spoofers.json"
 MANY = "spoofers.json"  # of `train.spoofers`
 TASK_HEAD = (
     *("task", "detector", "ramp [m]", "accelerating ramp [m]", "optimized open-loop attack [m]"),
@@ -135,7 +135,11 @@ TABLES: dict[str, tuple[str, Callable[[dict[str, Any]], str]]] = {
     "transfer": ("transfer", shown_of_transfer),
     "spoofers": ("spoofers", page),
 }
-"""What the page has between its marks: which results, and how they are shown."""
+"""What the pages have between their marks: which results, and how they are shown."""
+
+
+def find_page(mark: str) -> Path:
+    return next(x for x in DOCS.glob("learned_*.md") if marks(mark)[0] in x.read_text())
 
 
 def take(folder: Path, kept: dict[str, Any]) -> None:
@@ -168,7 +172,7 @@ def main() -> None:
     kept = {part: dict(sorted(found.items())) for part, found in kept.items()}
     write_json(DATA_FILE, kept)
     for mark, (part, show) in TABLES.items():
-        put_between(PAGE, *marks(mark), show(kept[part]))
+        put_between(find_page(mark), *marks(mark), show(kept[part]))
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
     python -m tools.offsets_worth --list               # what it plays, and its CPU minutes
     python -m tools.offsets_worth                      # all of it, into results/offsets
     python -m tools.offsets_worth shewhart ewma --captured "5 of 8"
-    python -m tools.offsets_worth --page               # the table of docs/terms.md
+    python -m tools.offsets_worth --page               # the table of docs/offsets.md
 
 In the papers' world, one direction, a false position, this with the common offset, and all
 satellites are searched on the linear response, each from the one before; what is found is played on
@@ -47,7 +47,7 @@ from spoofgym.simulation.tight import TightlyCoupledSetup
 from .pages import DOCS, marks, put_between
 from .scored import get_sizes, make_parser
 
-PAGE, DATA_FILE = DOCS / "terms.md", DOCS / "offsets.json"
+PAGE, DATA_FILE = DOCS / "offsets.md", DOCS / "offsets.json"
 WORLD, RATE_MPS = "zhong2025", 5.0
 ALL, UNSEEN = "all", "unseen ramp"
 CAPTURED = ("5 of 8", "4 of 8", ALL)

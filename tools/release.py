@@ -22,7 +22,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 DIST = ROOT / "dist"
 EXTRAS = "report,flights"
-TRIED = ("spoofgym run",)
+TRIED = ("spoofgym demo",)
 """Commands of the README that end in a minute or two; the others are listed, `spoofgym warmup`,
 which compiles much more than these need, among them."""
 CHECK = "from my_detector import AverageRate as A; from spoofgym.testing import check_detector as c"

@@ -1,4 +1,4 @@
-"""The table of corrections on `docs/terms.md`: ``python -m tools.residual_page runs/residual``.
+"""The table on `docs/corrections.md`: ``python -m tools.residual_page runs/residual``.
 
 Takes the results of `train.residual_ppo` in a folder into `docs/residual.json`; what they lack
 stays as it is.  Without a folder it writes the table again.
@@ -14,7 +14,7 @@ from train.residual_ppo import build_table
 
 from .pages import DOCS, marks, parse_folders, put_between
 
-PAGE, DATA_FILE = DOCS / "terms.md", DOCS / "residual.json"
+PAGE, DATA_FILE = DOCS / "corrections.md", DOCS / "residual.json"
 
 
 def take(results: dict[str, Any], kept: dict[str, Any]) -> dict[str, Any]:

@@ -150,7 +150,9 @@ def check_keywords(
     for name in given:
         if name not in names:
             valid, hint = ", ".join(sorted(names)), suggest_name(name, names)
-            raise TypeError(f"{whose} has no argument {name!r}; valid: {valid}{hint}")
+            raise TypeError(
+                f"{whose} got an unexpected keyword argument {name!r}; valid: {valid}{hint}"
+            )
 
 
 Spec = dict[str, Any]

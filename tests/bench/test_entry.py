@@ -90,7 +90,7 @@ def test_a_wrong_entry_is_refused_in_a_line_before_anything_plays(changes, messa
 
 def test_a_missing_file_and_a_missing_entry_are_refused(tmp_path):
     entry = write_entry(tmp_path / "entry")
-    assert "--task and --shard can't be given with --check" in refused(
+    assert "--task, --shard and --log don't go with --check" in refused(
         *check(entry, "--task", "D2")
     )
     (entry / "mine.py").unlink()

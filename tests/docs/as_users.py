@@ -67,6 +67,7 @@ SMALLER: dict[str, tuple[str | None, str]] = {
         "1000 runs against every detector",
     ),
     r"spoofgym bench --detector guard\.onnx ": (CAMPAIGN, "most of an hour"),
+    r"spoofgym bench --(budget \w+ --)?detector solution-": (None, "tools.costs measures them"),
     r"spoofgym bench --track ": (f"--detector ewma {CAMPAIGN}", "a calibration for each detector"),
     r"spoofgym calibrate ": ("--runs 2000", "20,000 runs of its world"),
     r"spoofgym bench --detector ewma ": (CAMPAIGN, "minutes"),

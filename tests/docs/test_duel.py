@@ -1,5 +1,7 @@
 """The page on the duel: its code runs, and what it says of settings is so."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,8 @@ SMALLER = [("TURNS, STEPS, RUNS = 4, 20_000, 200", "TURNS, STEPS, RUNS = 2, 64, 
 @pytest.fixture(scope="module")
 def page(default_rate_of_module):
     with pytest.MonkeyPatch.context() as patch:
-        yield play("duel.md", patch, SMALLER)
+        page = play("duel.md", patch)
+        yield SimpleNamespace(**{**vars(page), **vars(play("self_play.md", patch, SMALLER))})
 
 
 def test_the_blocks_run_in_their_order(page):

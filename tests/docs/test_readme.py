@@ -8,12 +8,13 @@ import types
 
 import pytest
 
+from spoofgym.bench.scores.campaign import headline
 from spoofgym.simulation.setup import Timeline
 from spoofgym.tasks import get_task
 from spoofgym.testing import check_detector
 from tools.headlines import DATA_FILE as FULL
 from tools.pages import part_between
-from tools.readme_bench import END, SHARED, START, WORLD, label, shared_rows, shown
+from tools.readme_bench import END, RESIDUAL, SHARED, SHOWN, START, WORLD, label, shared_rows, shown
 
 from .pages import ROOT, blocks_of, play, text_of
 
@@ -31,8 +32,8 @@ SMALLER = [
     ('"warm_pool": 256', '"warm_pool": 4'),
     ('"n_steps": 15, "batch_size": 960', '"n_steps": 2, "batch_size": 8'),
     (r"learn\(300_000\)", "learn(40)"),
-    ('"rule": "exact"', '"rule": "exact", "runs": 60, "fit_runs": 80'),
-    (r"AverageRate\(env\),", "AverageRate(env), 40, false_alarms_per_hour=10.0,"),
+    ('rule="exact"', 'rule="exact", runs=60, fit_runs=80'),
+    (r"range\(100\)", "range(2)"),
 ]
 
 
@@ -52,22 +53,28 @@ def test_every_block_of_code_runs_and_each_goes_on_from_the_one_before(
         pytest.importorskip(module)
     monkeypatch.chdir(tmp_path)
     play("README.md", monkeypatch, SMALLER)
-    model, ramp, calibrated, *attacks = capsys.readouterr().out.splitlines()
+    model, ramp, *alarms = capsys.readouterr().out.splitlines()
     assert model.startswith("PPO (blind, amplitude ")
     assert ramp.startswith("ramp(tuned) (blind, rate_mps ")
-    assert calibrated.startswith("threshold x ")
-    assert [line.partition(": ")[0] for line in attacks] == [
-        "ramp, rate_mps=0.5",
-        "runs/offsets/ppo.onnx",
+    assert [line.split()[:3] for line in alarms] == [
+        ["ewma", "1", "clean"],
+        ["snapshot-chi2", "1", "clean"],
     ]
-    assert {path.name for path in (tmp_path / "runs" / "offsets").iterdir()} == {
-        *("ppo.monitor.csv", "ppo.onnx", "ppo.json", "curve.png")
-    }
+    assert {path.name for path in tmp_path.iterdir()} == {"ppo.onnx", "ppo.json"}
+
+
+def test_it_is_short_and_its_figures_are_those_of_the_stored_results(full):
+    assert len(README.splitlines()) <= 120
+    best = headline(full["protection"][2], 0.5)["value"]
+    assert f"holds attacks to {best:.0f} m" in README
+    assert best == min(headline(row, 0.5)["value"] for row in full["protection"])
+    _, rows = part_between(README, START, END).split("|---|---|---|---|---|")
+    assert len([line for line in rows.splitlines() if line.startswith("| ")]) <= 6
 
 
 def test_detector_campaign_extras_and_times_are_those_that_it_names(saved, full):
     check_detector(saved.AverageRate())
-    (command,) = re.findall(r"^spoofgym bench.*", README, flags=re.MULTILINE)
+    (command,) = re.findall(r"`(spoofgym bench -.*?)`", README)
     assert command.startswith(f"{full['command']} --detector my_detector:AverageRate ")
     extras = tomllib.loads(text_of("pyproject.toml"))["project"]["optional-dependencies"]
     first, *more = re.findall(r"^pip install '?\.(?:\[(.*)\])?", README, flags=re.MULTILINE)
@@ -81,12 +88,11 @@ def test_detector_campaign_extras_and_times_are_those_that_it_names(saved, full)
 
 
 def test_the_table_is_that_of_the_full_run(full):
-    picture = "\n![How far every attack gets](docs/campaign.png)\n"
-    assert part_between(README, START, END) == f"\n{shown(full)}{picture}"
+    residual = json.loads(RESIDUAL.read_text())
+    assert part_between(README, START, END) == f"\n{shown(full, residual)}"
     assert full["campaign"] in README
     names = [label(row["detector"]) for row in full["detectors"]]
-    assert names[:2] == ["never", "lottery"]
-    assert all(name.startswith("solution-separation(") for name in names[2:4])
+    assert {*SHOWN} <= {*names}
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """The page on RL libraries: its code runs, with short episodes and few steps."""
 
+import re
 import warnings
 from importlib.util import find_spec
 from types import SimpleNamespace
@@ -7,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from .pages import play
+from .pages import play, text_of
 
 SHORT = 'timeline={"warmup_s": 20.0, "live_s": 10.0, "attack_s": 10.0, "time_to_alert_s": 2.0}'
 SMALLER = [
@@ -31,6 +32,12 @@ SMALLER = [
 ]
 
 
+def play_page(name, patch):
+    """With those of the smaller parts that the page has."""
+    here = [(old, new) for old, new in SMALLER if re.search(old, text_of(name))]
+    return play(name, patch, here)
+
+
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
@@ -40,8 +47,14 @@ def page(tmp_path_factory):
                 # of RLlib itself, whose second algorithm in a process registers once more
                 warnings.simplefilter("ignore", DeprecationWarning)
                 warnings.filterwarnings("ignore", ".*rllib-multi-agent-env-v0 already in registry")
-            found = play("rl_libraries.md", patch, SMALLER)
-        yield found
+            yield play_page("rl_libraries.md", patch)
+
+
+@pytest.fixture(scope="module")
+def budget(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("budget"))
+        yield play_page("learn_with_budget.md", patch)
 
 
 def test_the_blocks_run_in_their_order(page):
@@ -58,7 +71,7 @@ def test_rllib_goes_on_against_the_frozen_side_that_was_found(page):
     assert sides == {"spoofer": False, "detector": True}
 
 
-def test_the_price_of_the_block_follows_the_budget(page):
+def test_the_price_of_the_block_follows_the_budget(budget):
     """Up while more than the budget alarm, down while fewer do, and never below the least price."""
     pytest.importorskip("stable_baselines3")
     paid = []
@@ -66,11 +79,11 @@ def test_the_price_of_the_block_follows_the_budget(page):
     envs = SimpleNamespace(
         set_rewards=lambda terms: paid.extend(x.penalty_m for x in terms if x.name == "alarm")
     )
-    budget = page.AlarmBudget(envs, budget=0.05, least_m=4.0, step_m=100.0)
-    budget.init_callback(SimpleNamespace(logger=logger, get_env=lambda: None, num_timesteps=0))
+    rule = budget.AlarmBudget(envs, budget=0.05, least_m=4.0, step_m=100.0)
+    rule.init_callback(SimpleNamespace(logger=logger, get_env=lambda: None, num_timesteps=0))
     for costs in ([1.0, 0.0], [0.0, 0.0], [0.0, 0.0]):
-        budget.locals = {"infos": [{"cost": x} for x in costs], "dones": np.ones(10)}
-        budget.on_rollout_start()
-        assert budget.on_step()
-        budget.on_rollout_end()
+        rule.locals = {"infos": [{"cost": x} for x in costs], "dones": np.ones(10)}
+        rule.on_rollout_start()
+        assert rule.on_step()
+        rule.on_rollout_end()
     assert paid == pytest.approx([4.0, 9.0, 4.0, 4.0])

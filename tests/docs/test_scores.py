@@ -12,7 +12,7 @@ from tools.pages import part_between
 
 from .pages import text_of
 
-PAGE = "scores.md"
+PAGE = "suite.md"
 
 
 @pytest.fixture(scope="module")

@@ -105,7 +105,9 @@ def test_bad_actions_name_the_agent_and_bad_arguments_the_valid_ones():
     env.step(np.zeros(2))
     with pytest.raises(ValueError, match=r"detector_0: .*shape \(13,\)"):
         env.step(np.zeros(2))
-    with pytest.raises(TypeError, match=r"^duel_v0.env has no argument 'thresholds'") as told:
+    with pytest.raises(
+        TypeError, match=r"^duel_v0.env got an unexpected keyword argument 'thresholds'"
+    ) as told:
         duel_v0.raw_env(thresholds=0.5)
     valid = str(told.value).partition("valid: ")[2].partition(";")[0].split(", ")
     assert {*valid} == {*inspect.signature(duel_v0.env).parameters}

@@ -22,7 +22,7 @@ NO_FILTER = (
     ("kind", "kwargs", "message"),
     [
         # of any victim
-        (TIGHT, {"receivers": 4}, "has no argument 'receivers'; valid: "),
+        (TIGHT, {"receivers": 4}, "got an unexpected keyword argument 'receivers'; valid: "),
         (TIGHT, {"knowledge": "orakel"}, "`knowledge` must be 'blind', .* did you mean 'oracle'"),
         (ROBOT, {"target_heading_deg": np.inf}, "`target_heading_deg` must be "),
         (LOOSE, {"target_heading_deg": "east"}, "target_heading_deg.*'east'"),
@@ -155,3 +155,9 @@ def test_a_wrong_mask_is_refused(mask, error, message):
     envs.reset(seed=0)
     with pytest.raises(error, match=message):
         envs.reset(options={"reset_mask": mask})
+
+
+def test_an_argument_that_a_library_tries_is_refused_in_python_s_own_words():
+    """As TorchRL's `GymEnv`, which goes on without it."""
+    with pytest.raises(TypeError, match="got an unexpected keyword argument 'frameskip'; valid: "):
+        gym.make("spoofgym/Zhong2025-v0", frameskip=4)

@@ -9,7 +9,7 @@ README = (release.ROOT / "README.md").read_text()
 
 def test_every_command_of_the_readme_is_tried_or_listed():
     tried, listed = release.split_commands(release.list_commands(README))
-    assert [line.split()[1] for line in tried] == ["run"]
+    assert [line.split()[1] for line in tried] == ["demo"]
     assert {line.split()[0] for line in listed} >= {"pip", "make", "spoofgym"}
     assert {"make bench", "make test", "pip install ."} < {*listed}
     assert "class AverageRate(Detector)" in release.find_detector(README)

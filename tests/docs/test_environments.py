@@ -1,0 +1,35 @@
+"""The pages of environments are made from what is registered."""
+
+import re
+
+import gymnasium as gym
+import pytest
+
+from spoofgym.truth.sensors import IMU_GRADES
+from tools.environments_page import IDS, build_detector_page, build_spoofer_page
+
+from .pages import text_of
+
+SLOW = [pytest.param(x, marks=pytest.mark.nightly) for x in ("TightlyCoupled", "Offsets")]
+
+
+@pytest.mark.parametrize("name", [*SLOW, *(IDS.keys() - {"TightlyCoupled", "Offsets"})])
+def test_a_page_is_that_of_its_environment(name):
+    assert text_of(f"environments/{name}.md") == build_spoofer_page(name)
+
+
+def test_the_detector_has_a_page_and_every_id_is_in_the_index():
+    assert text_of("environments/DetectorView.md") == build_detector_page()
+    index = text_of("environments.md")
+    named = {f"spoofgym/{name}" for name in re.findall(r"`(?:spoofgym/)?(\w+-v\d+)`", index)}
+    for first, last in re.findall(r"`(Bench[A-Z]\d-v\d)` to `(Bench[A-Z]\d-v\d)`", index):
+        named |= {f"spoofgym/{first[:6]}{k}{first[7:]}" for k in range(1, int(last[6]) + 1)}
+    assert {name for name in gym.registry if name.startswith("spoofgym/")} == named
+
+
+def test_the_grades_of_sensors_have_their_figures():
+    for name, grade in IMU_GRADES.items():
+        biases = (max(map(abs, x)) for x in (grade.accel_bias_ug, grade.gyro_bias_deg_per_h))
+        noise = grade.accel_noise_ug_per_rthz, grade.gyro_noise_deg_per_rth
+        cells = " | ".join(f"{x:.6g}" for x in (*biases, *noise))
+        assert f"| `{name}` | {cells} |\n" in text_of("worlds.md")

@@ -1,0 +1,76 @@
+"""No page is a wall: at most 1,200 words, and tables of at most 10 rows and 6 columns.
+
+Words are those of the text, without code and tables.
+"""
+
+import re
+
+import pytest
+
+from .as_users import PAGES, name_of
+from .pages import ROOT
+
+MOST_WORDS, MOST_ROWS, MOST_COLUMNS = 1200, 10, 6
+GENERATED = re.compile(r"<!-- ([\w-]+):begin -->.*?<!-- \1:end -->", flags=re.DOTALL)
+"""Results that a command writes; `docs/costs.md` and `docs/validation.md` keep to the sizes."""
+PAPERS = re.compile(r"docs/papers/\w+\.md")
+"""Made by `python -m baselines.papers.page`: all rows of a paper's tables."""
+LISTS = {
+    "docs/architecture.md": "rooms and rules of the package, each on a line",
+    "docs/catalogue.md": "all names that are registered",
+    "docs/performance.md": "what every part of a step costs, for who works on it",
+    "docs/reliability.md": "every limit and every kind of fault that was tried",
+    "docs/terms.md": "all terms that are registered, and all keys of `info`",
+}
+"""Pages that may have long tables, and what these list."""
+
+
+def read_plain(text: str) -> str:
+    return re.sub(r"^ *```.*?^ *```$", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def list_tables(text: str) -> list[tuple[int, int]]:
+    """Rows, without their head, and columns of every table."""
+    tables = re.findall(r"(?:^\|.*\n)+", read_plain(text) + "\n", flags=re.MULTILINE)
+    rows = [table.splitlines() for table in tables]
+    return [(len(lines) - 2, len(re.findall(r"(?<!\\)\|", lines[0])) - 1) for lines in rows]
+
+
+def count_words(text: str) -> int:
+    return sum(len(line.split()) for line in read_plain(text).splitlines() if line[:1] != "|")
+
+
+def find_walls(name: str, text: str) -> list[str]:
+    """What of a page is too large."""
+    if PAPERS.fullmatch(name):
+        return []
+    words, tables = count_words(text), list_tables(GENERATED.sub("", text))
+    walls = [f"{words} words"] * (words > MOST_WORDS)
+    if name not in LISTS:
+        large = [x for x in tables if x[0] > MOST_ROWS or x[1] > MOST_COLUMNS]
+        walls += [f"a table of {rows} x {columns}" for rows, columns in large]
+    return walls
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_a_page_and_its_tables_are_no_wall(page):
+    assert find_walls(name_of(page), page.read_text()) == []
+
+
+@pytest.mark.parametrize("name", ["costs", "validation"])
+def test_made_pages_for_every_reader_keep_to_the_sizes(name):
+    text = (ROOT / "docs" / f"{name}.md").read_text()
+    assert find_walls(name, GENERATED.sub(lambda found: found[0].replace("<!--", ""), text)) == []
+
+
+def test_walls_are_found_and_exceptions_are_needed():
+    head, line = "| a | b |\n|---|---|\n", "| 1 | 2 |\n"
+    assert find_walls("x", "word " * 1200 + "\n\n" + head + 10 * line) == []
+    assert find_walls("x", "word " * 1201 + "\n\n" + head + 11 * line) == [
+        "1201 words",
+        "a table of 11 x 2",
+    ]
+    assert find_walls("x", "| a | b | c | d | e | f | g |\n|---|---|\n") == ["a table of 0 x 7"]
+    assert find_walls("x", f"```text\n{'word ' * 1300}\n{head}{11 * line}\n```\n") == []
+    for name in LISTS:
+        assert max(rows for rows, _ in list_tables((ROOT / name).read_text())) > MOST_ROWS

@@ -1,0 +1,86 @@
+"""The ledger of `docs/validation.md`: ``python -m tools.validation``.
+
+Figures come from stored results, and from the tests that prove them; none is written by hand.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from spoofgym.bench.report.table import Table
+from tools.pages import DOCS, ROOT, marks, put_between
+
+PAGE = DOCS / "validation.md"
+LEDGER = Path(__file__).with_suffix(".toml")
+COUNTS = {"printed_inside": "printed value and ours in the band", "agrees": "second program"}
+
+
+def read_test(node: str) -> str:
+    """Source of one test; a ValueError where it does not exist."""
+    file, _, name = node.partition("::")
+    found = re.search(rf"^def {name}\(.*?(?=^\S|\Z)", (ROOT / file).read_text(), re.M | re.S)
+    if found is None:
+        raise ValueError(f"there is no test {node}")
+    return found[0]
+
+
+def read_figure(row: Mapping[str, str]) -> str:
+    """Figure of a row of the ledger, as its test asserts it."""
+    found = re.search(row["find"], read_test(row["test"]))
+    assert found is not None, row
+    return row["figure"].format(*found.groups())
+
+
+def is_given(row: Mapping[str, Any]) -> bool:
+    """Whether printed value and ours are both none or both all, so that it could hardly fail."""
+    unit = "%" if "%" in row["quantity"] else "share" if "[" not in row["quantity"] else ""
+    ends = {"%": (0.0, 100.0), "share": (0.0, 1.0), "": ()}[unit]
+    return row["paper"] == row["ours"] and row["ours"] in ends
+
+
+def count_rows(rows: Iterable[Mapping[str, Any]], kind: str) -> str:
+    counted = [row[kind] for row in rows if row[kind] is not None]
+    return f"{sum(counted)} of {len(counted)}" if counted else "-"
+
+
+def count_papers() -> list[tuple[str, ...]]:
+    """Per paper and in all: how many rows agree, without those that could hardly fail."""
+    files = sorted((DOCS / "papers").glob("*.json"))
+    found = {x.stem: json.loads(x.read_text())["rows"] for x in files}
+    found["all five"] = [row for rows in found.values() for row in rows]
+    kept = {key: [row for row in rows if not is_given(row)] for key, rows in found.items()}
+    return [
+        (key, *(count_rows(rows, kind) for kind in COUNTS), str(len(found[key]) - len(rows)))
+        for key, rows in kept.items()
+    ]
+
+
+def build_tables() -> str:
+    ledger = tomllib.loads(LEDGER.read_text())
+    rows = [
+        (row["what"], row["against"], read_figure(row), f"`{row['test'].rpartition('::')[2]}`")
+        for row in ledger["row"]
+    ]
+    rates = json.loads((DOCS / "holdouts.json").read_text())
+    measured = [f"{each['mean_passive_per_hour']:.3f}" for each in rates["worlds"]]
+    modelled = [(x["what"], f"[{x['why']}]({x['page']})") for x in ledger["modelled"]]
+    papers = Table.of_texts("paper", *COUNTS.values(), "left out").markdown(count_papers())
+    return "\n\n".join([
+        Table.of_texts("capability", "validated against", "figure", "test").markdown(rows),
+        f"**False alarms** of the shipped calibrations, {rates['cells']} cells on fresh runs: "
+        f"asked {rates['rate']:g} an hour, measured {', '.join(measured)} in the means of worlds, "
+        "passive detectors ([calibration](calibration.md)).",
+        "**Papers.** Rows whose printed value and ours are both none or both all are left out.",
+        papers,
+        "## Modelled only",
+        Table.of_texts("capability", "why").markdown(modelled) + "\n",
+    ])  # fmt: skip
+
+
+if __name__ == "__main__":
+    put_between(PAGE, *marks("ledger"), build_tables())
