@@ -18,7 +18,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from spoofgym.core.files import write_file
+from spoofgym.core.files import remove_stale_parts, write_file
 from spoofgym.core.reading import Archive, parse_json
 
 WEIGHTS, STATE = "parameters.pt", "state.json"
@@ -44,6 +44,7 @@ def write_checkpoint(
             if file.is_file():
                 archive.writestr(file.name, file.read_bytes())
     write_file(path, content.getvalue())
+    remove_stale_parts(path.parent)
 
 
 @contextmanager
@@ -69,6 +70,7 @@ def open_checkpoint(
         ) from error
     for name, content in found.items():
         write_file(path.parent / name, content)
+    remove_stale_parts(path.parent)
 
 
 def save_checkpoint(

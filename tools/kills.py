@@ -18,6 +18,7 @@ import signal
 import sys
 import tempfile
 import time
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -50,7 +51,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
         *("--file-runs", "4", "--detector", "snapshot-chi2:thresholds=nominal"),
     ),
     "game": (
-        *("game", "--task", "v1/T3", "--runs", "8", "--out", "out", "--threads", "1"),
+        *("game", "--task", "T3", "--runs", "8", "--out", "out", "--threads", "1"),
         *("--detector", "snapshot-chi2:thresholds=nominal", "--detector", "ewma"),
         *("--spoofer", "none", "--spoofer", "ramp:rate_mps=0.2", "--spoofer", "step"),
     ),
@@ -67,7 +68,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     ),
 }
 MEASURED = re.compile(rb'"(wall_s|cost_us|seconds|date)": *"?[^,}"]*"?')
-DRAWN = (".png", ".html", ".zip", ".part")  # of measured times; archives have dates
+DRAWN, ARCHIVES = (".png", ".html"), (".npz", ".zip")
+"""Files of measured times, and those whose members are compared, as they have dates."""
 QUICK_S = 0.05
 """Before which a kill comes too early to have anything to do with what is written."""
 
@@ -122,13 +124,15 @@ def play_in_child(name: str, folder: Path, after_s: float | None) -> int | None:
 
 def read_content(folder: Path) -> dict[str, bytes]:
     """Files by name, without measured times."""
-    return {
-        path.relative_to(folder).as_posix(): b""
-        if path.suffix in DRAWN
-        else MEASURED.sub(b"", path.read_bytes())
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
+    found = {}
+    for path in sorted(each for each in folder.rglob("*") if each.is_file()):
+        name = path.relative_to(folder).as_posix()
+        if path.suffix in ARCHIVES:
+            with zipfile.ZipFile(path) as archive:
+                found |= {f"{name}/{x}": archive.read(x) for x in archive.namelist()}
+        else:
+            found[name] = b"" if path.suffix in DRAWN else path.read_bytes()
+    return {name: MEASURED.sub(b"", content) for name, content in found.items()}
 
 
 def kill_often(name: str, kills: int, folder: Path) -> Kills:

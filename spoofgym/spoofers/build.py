@@ -120,7 +120,7 @@ def make_spoofer(spec: SpooferSpec) -> Spoofer:
         card = plain.pop(CARD, None) if isinstance(plain, dict) else None
         made: Spoofer = make("spoofer", SPOOFERS, Spoofer, plain, list_shipped(SPOOFER))
     if card is not None:
-        made.card = SpooferCard.load(card)
+        setattr(made, CARD, SpooferCard.load(card))
     return made if amplitude is None else Scaled(made, amplitude)
 
 
