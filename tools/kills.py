@@ -70,6 +70,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 MEASURED = re.compile(rb'"(wall_s|cost_us|seconds|date)": *"?[^,}"]*"?')
 DRAWN, ARCHIVES = (".png", ".html"), (".npz", ".zip")
 """Files of measured times, and those whose members are compared, as they have dates."""
+REMOVED = "out/unfinished/"
+"""Clean runs of a calibration, which are removed when it has been written."""
 QUICK_S = 0.05
 """Before which a kill comes too early to have anything to do with what is written."""
 
@@ -127,6 +129,8 @@ def read_content(folder: Path) -> dict[str, bytes]:
     found = {}
     for path in sorted(each for each in folder.rglob("*") if each.is_file()):
         name = path.relative_to(folder).as_posix()
+        if name.startswith(REMOVED):  # a kill meanwhile leaves some, which nothing reads
+            continue
         if path.suffix in ARCHIVES:
             with zipfile.ZipFile(path) as archive:
                 found |= {f"{name}/{x}": archive.read(x) for x in archive.namelist()}
