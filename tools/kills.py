@@ -67,7 +67,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
         *("ramp", "--seeds", "0", "--threads", "1"),
     ),
 }
-MEASURED = re.compile(rb'"(wall_s|cost_us|seconds|date)": *"?[^,}"]*"?')
+MEASURED = re.compile(rb'"(wall_s|spent_s|cost_us|seconds|date)": *"?[^,}"]*"?')
 DRAWN, ARCHIVES = (".png", ".html"), (".npz", ".zip")
 """Files of measured times, and those whose members are compared, as they have dates."""
 REMOVED = "out/unfinished/"

@@ -14,6 +14,7 @@ from . import threads as _threads
 
 REFRESH_S = 0.1  # how often the time in a bar is drawn
 NAME = 64  # letters of what is going on that a line shows
+FORETOLD = 0.02  # part that is done before the time left is worth a line
 PART_S, LINE_S = 10.0, 60.0
 """Least times between lines where there is no terminal, before another part and within one."""
 
@@ -80,8 +81,9 @@ class _Lines:
         if now - self._last >= (LINE_S if description == self._now else PART_S):
             self._now, self._last, passed = description, now, now - self._start
             part = min(self._done / self._total, 1.0)
-            left = passed * (1.0 - part) / part
-            times = f"{passed:.0f} s, some {left:.0f} s left"
+            times = f"{passed:.0f} s"
+            if part >= FORETOLD:
+                times += f", some {passed * (1.0 - part) / part:.0f} s left"
             label = description if len(description) <= NAME else f"{description[: NAME - 4]} ..."
             print(f"{label}: {100.0 * part:.0f} %, {times}", file=sys.stderr, flush=True)
 

@@ -205,7 +205,7 @@ class ReplayRuns:
     def __init__(self, backend, span):
         optimizer = OpenLoopOptimizer(backend, 0.5, OpenLoopSearch())
         self.shape = lambda value: optimizer.curves(np.full((1, 12), value))
-        self.replay, self.rows, self.span = backend.replay, backend._rows, span
+        self.replay, self.rows, self.span = backend.replay, backend.rows, span
         self.sky = self.replay.sky[self.rows]
 
     def _first(self, value, rows):

@@ -20,6 +20,17 @@ def test_without_a_terminal_each_part_has_a_line_with_the_time_that_is_left(monk
     ]
 
 
+def test_the_time_that_is_left_is_not_foretold_from_next_to_nothing(monkeypatch, capsys):
+    monkeypatch.delenv("FORCE_COLOR", raising=False)
+    now = iter([0.0, 61.0, 122.0])
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(now))
+    with progress.show_progress(1000.0) as bar:
+        bar.advance(1.0, "search")
+        bar.advance(19.0, "search")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["search: 0 %, 61 s", "search: 2 %, 122 s, some 5978 s left"]
+
+
 def test_what_ends_soon_prints_nothing(monkeypatch, capsys):
     monkeypatch.delenv("FORCE_COLOR", raising=False)
     with progress.show_progress(1.0) as bar:

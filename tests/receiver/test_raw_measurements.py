@@ -115,7 +115,7 @@ def test_one_command_writes_the_log(files, tmp_path):
     result = call("log", "import", *names, "--mapping", files / "imu.toml", "-o", out)
     assert "piece 1 starts at 0.00 s" in result.stdout
     log = InnovationLog.load(out)
-    assert {"design", "transition", "predicted_cov", "imu_delta"} == set(log.more)
+    assert {"design", "transition", "predicted_cov", "imu_delta", "axes"} == set(log.more)
     assert refused("log", "import", *names, "-o", out).count("--mapping")
     assert "orbits are missing" in refused("log", "import", names[0], names[2], "-o", out)
 

@@ -157,7 +157,7 @@ class Evaluator:
             alarm_rate=wilson(stealth.alarms, stealth.runs),
             clean_alarm_rate=float((panel.twin_alarm[:, 0] > 0).mean()),
             budget=budget,
-            within_budget=stealth.seems_to_keep(budget),
+            within_budget=exact is not None or stealth.seems_to_keep(budget),
             fit_within_budget=within,
             displacement_m=moved,
             alarmed=record.alarmed,

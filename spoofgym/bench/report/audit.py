@@ -14,7 +14,7 @@ from .table import format_number, interval, percent
 LINES, WIDTH = 39, 100
 LABEL, VALUE = 34, 40  # characters of the first two columns
 NO_REFERENCE = "no score of a non-learned detector is stored for this task"
-BY = {"audit": "the same families, played when the package was made", "campaign": "in a campaign"}
+BY = {"audit": "by the same families", "campaign": "in a campaign"}
 """Where a reference's figures come from."""
 
 

@@ -7,12 +7,12 @@ from functools import partial
 from operator import itemgetter
 from typing import Any
 
-from ...core.registry import format_label
 from ...tasks import DETECTOR_TASKS, TASKS, DetectorTask, Task, v2
 from ..experiments.suite import DETECTOR_FILE as DETECTOR_FILE
 from ..experiments.suite import FILE as FILE
 from ..experiments.suite import list_task_detectors
 from ..experiments.suite import stored_cards as stored_cards
+from ..runs.players import specify_detector
 from .campaign import OVER, attack_of_suite, bound_text, format_spoofer
 from .table import Table, format_number, interval, metres, percent, share
 
@@ -109,7 +109,7 @@ COMMANDS = {"S": "python -m tools.task_cards {}", "D": "python -m tools.detector
 def list_unscored(task: DetectorTask, card: dict[str, Any]) -> list[str]:
     """Labels of detectors that a card has no score of, and does not refuse, as yet."""
     known = {*(each["detector"] for each in card["detectors"]), *card["left_out"]}
-    everyone = (format_label(each, None) for each in list_task_detectors(task.task))
+    everyone = (specify_detector(each).label for each in list_task_detectors(task.task))
     return [label for label in everyone if label not in known]
 
 

@@ -28,7 +28,7 @@ class SpooferScore:
     - `alarm_rate`: part of the runs with an alarm, with its 95 % interval; `clean_alarm_rate`, of
       all runs without an attack;
     - `budget`: largest rate that is allowed; `within_budget`, whether it is met on the evaluation
-      runs, by the rate itself;
+      runs, by the rate itself, and always where the displacement is one at exactly the budget;
     - `fit_within_budget`: the same on the training runs, by the upper 95 % limit of the rate; None
       where nothing was fitted;
     - `displacement_m` (R,) of each run [m]; `counts` (R,) bool, whether it counts; `sky` (R,) under
