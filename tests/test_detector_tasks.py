@@ -105,6 +105,7 @@ def test_a_learned_detector_is_warned_of_where_it_has_met_what_is_held_out(key, 
         Auditor(key).worlds.build_detectors([guard, "never"])
 
 
+@pytest.mark.usefixtures("default_rate")  # of which labels say nothing
 def test_cards_are_of_these_tasks_as_is_the_page_and_what_is_missing_has_its_command():
     cards, missing = detector_cards.stored_detector_cards(), detector_cards.missing()
     assert {*cards} | {*missing} >= {*v2.DETECTOR_TASKS}
@@ -128,6 +129,7 @@ def test_cards_are_of_these_tasks_as_is_the_page_and_what_is_missing_has_its_com
 
 
 @pytest.mark.nightly
+@pytest.mark.usefixtures("default_rate")
 def test_every_reference_has_a_score_or_is_refused_or_is_named_as_unplayed():
     for key, card in detector_cards.stored_detector_cards().items():
         assert all("is degenerate" in why for why in card["left_out"].values())

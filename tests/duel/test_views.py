@@ -147,8 +147,16 @@ def test_after_a_change_of_the_pool_all_receivers_begin_anew(view, kwargs, pool)
         ("DetectorView", {"pool": "ramq"}, "did you mean 'ramp'"),
         ("DetectorView", {"pool": "ewma-profile"}, "'ewma-profile' does not fit this"),
         # arguments
-        ("SpooferView", {"attak": "x"}, "^SpooferView got an unexpected keyword arg.*attack, .* pool,.*mean"),
-        ("DetectorVectorView", {"attak": "x"}, "^DetectorVectorView got an unexpected .* pool,.*mean"),
+        (
+            "SpooferView",
+            {"attak": "x"},
+            "^SpooferView got an unexpected keyword arg.*attack, .* pool,.*mean",
+        ),
+        (
+            "DetectorVectorView",
+            {"attak": "x"},
+            "^DetectorVectorView got an unexpected .* pool,.*mean",
+        ),
         ("DetectorView", {"decision_delay": 2}, "a whole number from 0 to 1, got 2"),
         ("DetectorView", {"render_mode": "rgb_array"}, "in DetectorView: .* only SpooferVi"),
         # of the duel
