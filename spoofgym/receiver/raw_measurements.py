@@ -149,7 +149,7 @@ class _Measured:
         begin = GPS_EPOCH + timedelta(seconds=round(o.time[0]))
         runs = int(o.segment[-1] - o.segment[0]) + 1
         self.lines = [
-            f"{len(o.time)} epochs from {begin} GPS time on, in {runs} runs of rising time; "
+            f"{len(o.time)} epochs from {begin} GPS time on, which runs back {runs - 1} times; "
             f"{len(o.satellites)} satellites: {' '.join(o.satellites)}",
             *(f"left out: {count} {what}" for what, count in o.left_out.items() if count),
         ]
