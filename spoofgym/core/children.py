@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import os
+import signal
 import socket
 import struct
 import sys
 import tempfile
 import time
 from contextlib import suppress
+from pathlib import Path
 from typing import IO, Any
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -69,6 +71,40 @@ def end_with_parent() -> None:
     """Let the kernel end this process when that which forked it ends, where it can."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, 9, 0, 0, 0)  # PR_SET_PDEATHSIG, SIGKILL
+
+
+def adopt_orphans() -> None:
+    """Let the kernel give this process the children of its descendants that end, where it can."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER
+
+
+def list_children(process: int) -> list[int]:
+    """Numbers of the processes that one has started or adopted; none where no /proc says them."""
+    found: list[int] = []
+    for path in Path(f"/proc/{process}/task").glob("*/children"):
+        with suppress(OSError):
+            found += map(int, path.read_text().split())
+    return found
+
+
+def end_family(process: int) -> None:
+    """Kill the leader of a group, all of the group, and what it has adopted of other sessions."""
+    with suppress(ProcessLookupError):
+        os.kill(process, signal.SIGSTOP)  # it starts no more
+        for _ in range(GENERATIONS):  # of a child that is killed the children are its own now
+            children = list_children(process)
+            for child in children:
+                with suppress(ProcessLookupError):
+                    os.kill(child, signal.SIGKILL)
+            if not children:
+                break
+            time.sleep(0.001)
+        os.killpg(process, signal.SIGKILL)
+
+
+GENERATIONS = 100
+"""Of a process that forks and ends, which are followed."""
 
 
 class Channel:

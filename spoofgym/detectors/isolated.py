@@ -10,14 +10,12 @@ import dataclasses
 import json
 import os
 import pickle
-import signal
 import socket
 import subprocess
 import sys
 import threading
 import weakref
 from collections.abc import Mapping
-from contextlib import suppress
 from mmap import mmap
 from typing import Any, ClassVar
 
@@ -25,7 +23,7 @@ import cloudpickle
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.children import Channel, child_environment, open_shared_file
+from ..core.children import Channel, child_environment, end_family, open_shared_file
 from ..core.declared import setting, settings_record
 from ..core.memory import Memory
 from ..core.registry import require
@@ -118,8 +116,7 @@ class _Host:
 def _end_host(process: subprocess.Popen[bytes], channel: socket.socket, parent: int) -> None:
     channel.close()
     if os.getpid() == parent:  # and not in a fork of it
-        with suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
+        end_family(process.pid)
         process.wait()
 
 

@@ -22,7 +22,13 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.children import Channel, confine_process, end_with_parent, limit_resources
+from ..core.children import (
+    Channel,
+    adopt_orphans,
+    confine_process,
+    end_with_parent,
+    limit_resources,
+)
 from ..core.memory import Memory
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict, is_sound, judge_epoch
@@ -188,6 +194,7 @@ def serve_host(channel: Channel) -> None:
         return
     channel.send(answer)
     load_kernels()
+    adopt_orphans()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system forgets those that have ended
     while True:
         channel.socket.settimeout(None)

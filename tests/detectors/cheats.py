@@ -223,6 +223,14 @@ class Fails(Outsider):
         os.fork()
         return verdict
 
+    def flees(self, epoch, verdict):
+        if os.fork() == 0:
+            os.setsid()
+            if os.fork() == 0:
+                time.sleep(60.0)
+            os._exit(0)
+        return verdict
+
     def prints(self, epoch, verdict):
         print("a word of the detector", flush=True)
         return verdict

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import joblib
 import numpy as np
@@ -16,7 +17,7 @@ import pytest
 
 from spoofgym.bench.runs.panel import generators
 from spoofgym.bench.runs.play import WarmStart, play
-from spoofgym.core.children import confine_process
+from spoofgym.core.children import confine_process, list_children
 from spoofgym.detectors import Calibrated, Never, PooledDetector, make_detector
 from spoofgym.detectors.base import has_protection_level
 from spoofgym.detectors.calibrated import describe_identity
@@ -227,6 +228,20 @@ def test_a_detector_that_forks_or_prints_judges_all_the_same(how, capfd):
     shown = capfd.readouterr()
     assert shown.out == ""
     assert ("a word of the detector" in shown.err) == (how == "prints")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel hands orphans over on Linux")
+def test_a_copy_in_a_session_of_its_own_ends_with_it():
+    detector = Isolated({"name": FAILS, "how": "flees"})
+    judged(detector, epochs())
+    process = detector._host.process
+    family = list_children(process.pid)
+    assert len(family) >= 2  # of the batch, and those that fled
+    del detector
+    gc.collect()
+    assert process.poll() is not None
+    time.sleep(0.2)
+    assert not [each for each in family if Path(f"/proc/{each}").exists()]
 
 
 def test_its_processes_end_with_it():
