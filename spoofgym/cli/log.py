@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
+from ..core.registry import require
 from . import options as opt
 from .app import clear_errors, print_json, print_lines, print_written
 
@@ -246,7 +247,12 @@ def import_log(
     from ..receiver.log import InnovationLog
     from ..receiver.raw_measurements import read_raw_log
 
-    if len(files) > 1 or mapping is not None or static:
+    raw = len(files) > 1 or mapping is not None or static
+    require(
+        (raw or noise_factors == (1.0, 1.0)) and ((raw and not static) or grade == "consumer"),
+        "--noise-factors are for raw measurements, --grade is for those with inertial samples",
+    )
+    if raw:
         found = read_raw_log(
             files, mapping, static=static, grade=grade, noise_factors=noise_factors
         )

@@ -117,6 +117,8 @@ def test_one_command_writes_the_log(files, tmp_path):
     log = InnovationLog.load(out)
     assert {"design", "transition", "predicted_cov", "imu_delta", "axes"} == set(log.more)
     assert refused("log", "import", *names, "-o", out).count("--mapping")
+    for idle in (("--grade", "tactical"), ("--noise-factors", "2", "2")):
+        assert "for raw measurements" in refused("log", "import", out, "-o", out, *idle)
     assert "orbits are missing" in refused("log", "import", names[0], names[2], "-o", out)
 
 
