@@ -21,6 +21,14 @@ group = typer.Typer(
     "what do they miss?",
     no_args_is_help=True,
 )
+Detectors = Annotated[list[str], Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")]
+Rate = Annotated[
+    float | None,
+    Option(
+        help="Take thresholds from this log's own windows, for so many false alarms an hour. "
+        "The log must be clean. Default: the thresholds that a detector has by itself."
+    ),
+]
 File = Annotated[
     Path,
     Argument(
@@ -84,14 +92,8 @@ def _format_noise(noise: dict[str, float | None] | None) -> str:
 @clear_errors
 def judge_(
     log: File,
-    detector: Annotated[list[str], Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")],
-    false_alarms_per_hour: Annotated[
-        float | None,
-        Option(
-            help="Take thresholds from this log's own windows, for so many false alarms an hour. "
-            "The log must be clean. Default: the thresholds that a detector has by itself."
-        ),
-    ] = None,
+    detector: Detectors,
+    false_alarms_per_hour: Rate = None,
     window_s: Annotated[float, Option(help="Length of a window, in seconds.")] = 160.0,
     as_json: opt.Json = False,
 ) -> None:
@@ -129,14 +131,8 @@ def judge_(
 @clear_errors
 def attack_(
     log: File,
-    detector: Annotated[list[str], Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")],
-    false_alarms_per_hour: Annotated[
-        float | None,
-        Option(
-            help="Take thresholds from this log's own windows, for so many false alarms an hour. "
-            "Default: the thresholds that a detector has by itself."
-        ),
-    ] = None,
+    detector: Detectors,
+    false_alarms_per_hour: Rate = None,
     attack_s: Annotated[float, Option(help="Length of an attack, in seconds.")] = 150.0,
     time_to_alert_s: Annotated[
         float, Option(help="Time after it in which an alarm still counts, in seconds.")

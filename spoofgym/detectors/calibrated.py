@@ -374,6 +374,12 @@ def calibrated_parts(detector: Detector) -> list[Calibrated]:
     return [each for each in detector.judges or (detector,) if isinstance(each, Calibrated)]
 
 
+def find_requested_rate(detector: Detector) -> float | None:
+    """False alarms an hour that a detector is calibrated to, the most of a pool; None without."""
+    parts = calibrated_parts(detector)
+    return max((each.false_alarms_per_hour or 0.0 for each in parts), default=0.0) or None
+
+
 def resolve_thresholds(detector: Detector, world: CalibrationWorld) -> None:
     """Look up the factors of a detector, or of the members of a pool, that are not known in a
     world. Where there are none, a detector that does not fit the world at all is refused first."""

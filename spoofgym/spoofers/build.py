@@ -36,7 +36,7 @@ SPOOFERS: dict[str, type[Spoofer]] = {
 
 
 CARD = "card"
-"""In settings that a card was read for: its file."""
+"""In settings that a card was read for: the card."""
 SpooferSpec = str | Mapping[str, Any] | Spoofer
 """What `make_spoofer` takes."""
 
@@ -76,8 +76,8 @@ def read_settings(spec: Any) -> Any:
         return spec
     found = read_json(file)
     if "side" in found:
-        policy = f"{file.removesuffix('.json')}{SUFFIX}"
-        return {**spec_of_card(SpooferCard.load(file), policy), CARD: file, **given}
+        policy, card = f"{file.removesuffix('.json')}{SUFFIX}", SpooferCard.load(file)
+        return {**spec_of_card(card, policy), CARD: card, **given}
     if "name" not in found:
         raise ValueError(f"{file} has no name and settings of a spoofer")
     return {**found, **given}
@@ -120,7 +120,7 @@ def make_spoofer(spec: SpooferSpec) -> Spoofer:
         card = plain.pop(CARD, None) if isinstance(plain, dict) else None
         made: Spoofer = make("spoofer", SPOOFERS, Spoofer, plain, list_shipped(SPOOFER))
     if card is not None:
-        setattr(made, CARD, SpooferCard.load(card))
+        setattr(made, CARD, card)
     return made if amplitude is None else Scaled(made, amplitude)
 
 

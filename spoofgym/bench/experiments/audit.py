@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 from ...calibration.thresholds import PASSIVE_RUNS, WEIGHING_RUNS
@@ -26,7 +27,7 @@ from ..search.bounds import expect_onset
 from .audit_cells import AuditCells, AuditPlan
 from .calibration import calibrate_players
 from .log_audit import LogAuditor
-from .runner import run_experiment
+from .runner import Experiment, run_experiment
 from .store import MemoryStore, Reader, Store
 
 OVERHEAD = 4.0
@@ -47,8 +48,7 @@ class Auditor(AuditPlan):
         return cells.scores(self.run(cells, show))
 
     def run(self, cells: AuditCells, show: ProgressBar | None = None) -> Reader:
-        store = MemoryStore(None if self.folder is None else Store(self.folder))
-        return run_experiment(cells, store, threads=self.worlds.threads, progress=show)
+        return _play(cells, self.folder, self.worlds.threads, show)
 
     def prepare(
         self,
@@ -147,6 +147,11 @@ def audit(
         Auditor(task, budget, **settings) if log is None else LogAuditor(log, budget, **settings)
     )
     cells = auditor.prepare(detector, progress)
-    store = MemoryStore(None if auditor.folder is None else Store(auditor.folder))
-    threads = settings.get("threads")
-    return cells.conclude(run_experiment(cells, store, threads=threads, progress=progress))
+    return cells.conclude(_play(cells, auditor.folder, settings.get("threads"), progress))
+
+
+def _play(
+    cells: Experiment, folder: Path | None, threads: int | None, show: ProgressBar | None
+) -> Reader:
+    store = MemoryStore(None if folder is None else Store(folder))
+    return run_experiment(cells, store, threads=threads, progress=show)

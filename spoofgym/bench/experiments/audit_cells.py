@@ -15,7 +15,7 @@ from ...core.files import write_file
 from ...core.registry import check_choice, slug, whole_number
 from ...core.settings import compute_digest, describe, outside_sources
 from ...detectors import detector_in_world
-from ...detectors.calibrated import calibrated_parts, list_factors
+from ...detectors.calibrated import find_requested_rate, list_factors
 from ...tasks import (
     ANTENNA_PARTS,
     DETECTOR_TASKS,
@@ -168,8 +168,7 @@ class AuditCells(Experiment):
     @property
     def requested_per_hour(self) -> float | None:
         """Rate of false alarms that the first detector is calibrated to."""
-        parts = calibrated_parts(detector_in_world(self.detectors[0].player.fixed_spec))
-        return max((x.false_alarms_per_hour or 0.0 for x in parts), default=0.0) or None
+        return find_requested_rate(detector_in_world(self.detectors[0].player.fixed_spec))
 
     def _identity(
         self, name: str, part: AttackFamily | str, defence: ScoredDetector

@@ -22,7 +22,7 @@ from ...core.progress import ProgressBar
 from ...core.registry import check_choice, slug
 from ...core.settings import compute_digest, describe
 from ...detectors import detector_in_world
-from ...detectors.calibrated import calibrated_parts
+from ...detectors.calibrated import find_requested_rate
 from ...detectors.isolated import isolate
 from ...limits.log_replay import FEWEST_WINDOWS, RATE_LIMIT_MPS, LogReplay
 from ...receiver.log import InnovationLog
@@ -135,8 +135,7 @@ class LogAuditor:
     ) -> LogAudit:
         """Cells of a detector, with thresholds of the log's own windows."""
         spec = isolate(detector) if isinstance(detector, str | Mapping) else detector
-        parts = calibrated_parts(detector_in_world(spec))
-        rate = max((x.false_alarms_per_hour or 0.0 for x in parts), default=0.0) or None
+        rate = find_requested_rate(detector_in_world(spec))
         factor = 1.0
         if rate is not None:
             window_s = self.times["attack_s"] + self.times["time_to_alert_s"]
