@@ -43,7 +43,6 @@ class FalsePosition(Attack):
     vector.
     """
 
-    described_as = "FalsePosition"
     limits_size: ClassVar[bool] = True
     axes: str = setting(
         default="ne",
@@ -83,8 +82,6 @@ class PerChannel(Attack):
     Offsets of satellites that are not in view have no effect.
     """
 
-    described_as = "PerChannel"
-
     @property
     def kind(self) -> str:
         return "per-channel"
@@ -113,7 +110,6 @@ class Meaconer(Attack):
     A meaconer needs no position, so it takes no `tracking`.
     """
 
-    described_as = "Meaconer"
     one_sided: ClassVar[bool] = True
     takes_tracking: ClassVar[bool] = False
     antenna_m: tuple[float, float, float] = setting(

@@ -29,7 +29,6 @@ class CounterfeitErrors:
     what the spoofer does not know of each satellite.
     """
 
-    described_as = "CounterfeitErrors"
     code_sd_m: float | None = setting(
         default=None,
         least=0.0,
@@ -80,7 +79,6 @@ class TrackingError:
     so that its rate is finite, and the range rates follow it.
     """
 
-    described_as = "TrackingError"
     sd_m: float = setting(
         default=0.0, least=0.0, unit="m", help="Standard deviation along each axis."
     )
@@ -106,7 +104,6 @@ class TrackingError:
 class SpooferClock:
     """Clock of the spoofer against that of the authentic signals, common to all its signals."""
 
-    described_as = "SpooferClock"
     offset_m: float = setting(default=0.0, unit="m", help="Offset at the onset.")
     drift_mps: float = setting(default=0.0, unit="m/s", help="Drift at the onset.")
     offset_sd_m: float = setting(
@@ -141,7 +138,6 @@ class Capture:
     Until then it measures the authentic signal.
     """
 
-    described_as = "Capture"
     delay_s: float = setting(
         default=0.0,
         least=0.0,
@@ -184,7 +180,6 @@ class Equipment:
     - `capture`: None where all channels are captured at the onset, however far.
     """
 
-    described_as = "Equipment"
     errors: CounterfeitErrors | None = None
     tracking: TrackingError | None = None
     clock: SpooferClock | None = None

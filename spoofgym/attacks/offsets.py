@@ -51,7 +51,6 @@ class Offsets(Attack):
     masked: what is commanded there is not looked at.
     """
 
-    described_as = "Offsets"
     reports: ClassVar[tuple[str, ...]] = ("offsets_m", "requested_offsets_m", "action_mask")
     channel_words: ClassVar[str] = ", 'K of N', 'K highest', 'K lowest', 'K drawn'"
     control: str = setting(

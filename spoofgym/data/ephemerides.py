@@ -92,7 +92,6 @@ class Ephemerides:
     - `crc`, `crs` (R,) second harmonic corrections to the radius [m].
     """
 
-    described_as = "Ephemerides"
     satellite_id: NDArray[np.str_]
     health: NDArray[np.float64]
     issue: NDArray[np.float64]
@@ -251,7 +250,6 @@ class BroadcastConstellation:
     before, the orbit jumps by the broadcast errors, some metres when the records were screened.
     """
 
-    described_as = "BroadcastConstellation"
     ephemerides: Ephemerides = setting(
         help="Broadcast records, best screened by `spoofgym.data.ephemerides.screen`; unhealthy "
         "ones are never used."

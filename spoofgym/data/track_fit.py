@@ -54,7 +54,6 @@ class Track:
     - `track_angle` (K,) course over ground, clockwise from north [rad], NaN likewise.
     """
 
-    described_as = "Track"
     name: str
     start_utc: datetime
     time: NDArray[np.float64]
@@ -117,7 +116,6 @@ class SmoothPath:
     - `doubted`: number of measurements off by more than `HUBER_LIMIT` standard deviations.
     """
 
-    described_as = "SmoothPath"
     origin: tuple[float, float, float]
     north: BSpline
     east: BSpline

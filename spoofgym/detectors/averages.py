@@ -181,7 +181,6 @@ def largest_average(
 class Aime(WindowsTest):
     """Chi-square of the average innovation over several windows, for the whole receiver."""
 
-    described_as = "Aime"
     signals: str = signals_to_test("pseudorange")
     bias_window_s: float = first_window()
 
@@ -240,7 +239,6 @@ def largest_ratio(
 class CumulativeBank(WindowsTest):
     """Chi-square of the innovations of windows of several lengths, for the whole receiver."""
 
-    described_as = "CumulativeBank"
     windows_s: tuple[float, ...] = window_lengths(5.0, 15.0, 30.0, 75.0, 150.0)
     signals: str = signals_to_test("both")
     bias_window_s: float = first_window()
@@ -307,7 +305,6 @@ def largest_moving_sum(
 class FiniteMovingAverage(InnovationTest):
     """Normalized sum of every satellite's innovations over a window; monitor only."""
 
-    described_as = "FiniteMovingAverage"
     false_alarm: float = alarm_probability(help=OF_ONE_SATELLITE)
     window_s: float = setting(
         default=10.0,
@@ -439,7 +436,6 @@ def window_average(
 class ClockDrift(InnovationTest):
     """Chi-square of the average common part of the innovations; monitor only."""
 
-    described_as = "ClockDrift"
     false_alarm: float = alarm_probability()
     window_s: float = setting(
         default=10.0,

@@ -91,7 +91,6 @@ class Calibrated(Detector):
     0.8
     """
 
-    described_as = "Calibrated"
     detector: Detector = setting(
         help="Any but a pool, which calibrates its members; copied with this one."
     )

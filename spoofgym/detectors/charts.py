@@ -162,7 +162,6 @@ def judge_channels(
 class Ewma(WeighingChart):
     """EWMA chart of every satellite's pseudorange innovation, with robust weights in the loop."""
 
-    described_as = "Ewma"
     smoothing: float = average_smoothing()
     false_alarm: float = alarm_probability(help=OF_ONE_SATELLITE)
     weight_scale: float | None = weight_limit(
@@ -272,7 +271,6 @@ def chart_weights(statistic: FloatArray, reject: FloatArray) -> FloatArray:
 class JointChart(WeighingChart):
     """EWMA chart whose alarm ends with the offset, with robust weights in the loop."""
 
-    described_as = "JointChart"
     smoothing: float = average_smoothing()
     false_alarm: float = alarm_probability(help=OF_ONE_SATELLITE)
     weight_scale: float | None = weight_limit(
@@ -341,7 +339,6 @@ def find_largest_sizes(
 class Shewhart(WeighingChart, InnovationTest):
     """Every satellite's innovation against its own standard deviation."""
 
-    described_as = "Shewhart"
     false_alarm: float = alarm_probability(help=OF_ONE_SATELLITE)
     weight_scale: float | None = weight_limit(
         None,

@@ -89,7 +89,6 @@ def chi2_verdict(
 class SnapshotChi2(InnovationTest):
     """Chi-square test of the present epoch, for the whole receiver; monitor only."""
 
-    described_as = "SnapshotChi2"
     false_alarm: float = alarm_probability()
     signals: str = signals_to_test("both")
     bias_window_s: float = first_window()
@@ -167,7 +166,6 @@ def window_sum(
 class WindowedChi2(InnovationTest):
     """Chi-square test of a window of epochs, for the whole receiver; monitor only."""
 
-    described_as = "WindowedChi2"
     window: int = window_epochs(10, "N: length of the sum.")
     false_alarm: float = alarm_probability()
     signals: str = signals_to_test(
@@ -289,7 +287,6 @@ def add_to_window(
 class SequentialChi2(InnovationTest):
     """Chi-square of all innovations so far, or of a window, for the whole receiver."""
 
-    described_as = "SequentialChi2"
     false_alarm: float = alarm_probability()
     window_s: float | None = setting(
         default=None,

@@ -33,7 +33,6 @@ from .base import Detector, DetectorContext, FloatArray, Verdict, compare
 class Never(Detector):
     """No defence: statistic 0, threshold 1, never an alarm, no weights."""
 
-    described_as = "Never"
     paper: ClassVar[str] = "groves2013"
     measures: ClassVar[str] = "any"
     calibrates: ClassVar[bool] = False
@@ -49,7 +48,6 @@ class Never(Detector):
 class Lottery(Detector):
     """Alarms by chance, at the same rate at any time, and stays alarmed."""
 
-    described_as = "Lottery"
     mean_wait_s: float = setting(
         default=18_000.0,
         above=0.0,

@@ -81,7 +81,6 @@ def advance_sums(
 class Cusum(InnovationTest):
     """Cumulative sum of every satellite's innovation; monitor only."""
 
-    described_as = "Cusum"
     allowance: float = setting(default=0.5, above=0.0, unit="standard deviations", help="Kappa.")
     limit: float = setting(default=12.4, above=0.0, unit="standard deviations", help="Limit h.")
     signals: str = signals_to_test(
@@ -167,7 +166,6 @@ def sum_channels(
 class LagCusum(InnovationTest):
     """Two-sided cumulative sum of every innovation against its own past; monitor only."""
 
-    described_as = "LagCusum"
     drift: float = setting(
         default=0.5,
         above=0.0,

@@ -191,7 +191,6 @@ def judge_fixes(
 class Acna(Detector):
     """Credible verification of a position, with rejection of fixes in the loop."""
 
-    described_as = "Acna"
     variant: str = setting(
         default="production", one_of=VARIANTS, help="What becomes of rejected fixes; see above."
     )
@@ -313,7 +312,6 @@ def constrain_fixes(
 class Rio(Detector):
     """Distance constraint with a latch."""
 
-    described_as = "Rio"
     limit_m: float = setting(default=16.5, above=0.0, unit="m", help="Limit D.")
     readmission_m: float = setting(default=5.0, above=0.0, unit="m", help="Limit D_r.")
 

@@ -269,7 +269,6 @@ class _Glr(InnovationTest):
 class GlrStep(_Glr):
     """Likelihood-ratio scan over all onsets for a step of every innovation; monitor only."""
 
-    described_as = "GlrStep"
     ramp: ClassVar[bool] = False
 
 
@@ -277,5 +276,4 @@ class GlrStep(_Glr):
 class GlrRamp(_Glr):
     """Likelihood-ratio scan over all onsets for a ramp of every innovation; monitor only."""
 
-    described_as = "GlrRamp"
     ramp: ClassVar[bool] = True

@@ -252,7 +252,6 @@ and 6 % of runs when it has been live for 20, 60 and 180 s."""
 class InnovationRate(Detector):
     """Test of the rate of every satellite's normalized pseudorange innovation."""
 
-    described_as = "InnovationRate"
     false_alarm: float = alarm_probability(
         4e-6,
         "Probability of an alarm in one epoch of the receiver, where the filter's belief is right.",
@@ -423,7 +422,6 @@ class _Oracle(InnovationRate):
 class OracleStep(_Oracle):
     """Oracle, no detector: the innovation-rate test with a step's true size added a second time."""
 
-    described_as = "OracleStep"
     size_m: float = setting(default=10.0, unit="m", help="Size B.")
 
     def offset_m(self, since_s: FloatArray) -> FloatArray:
@@ -434,7 +432,6 @@ class OracleStep(_Oracle):
 class OracleRamp(_Oracle):
     """Oracle, no detector: the innovation-rate test with a ramp's true offset added once more."""
 
-    described_as = "OracleRamp"
     rate_mps: float = setting(default=0.1, unit="m/s", help="Rate a.")
 
     def offset_m(self, since_s: FloatArray) -> FloatArray:

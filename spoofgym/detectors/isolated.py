@@ -283,7 +283,6 @@ class Isolated(Detector):
     True
     """
 
-    described_as = "Isolated"
     detector: Any = setting(
         help="Any but a pool and one with scaled thresholds, whose parts are isolated; or its spec."
     )

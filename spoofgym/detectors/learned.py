@@ -52,7 +52,6 @@ def check_delay(decision_delay: int) -> None:
 class DetectorAgent(Detector):
     """Observes every epoch; its decisions are actions; without them: no alarm, weights 1."""
 
-    described_as = "DetectorAgent"
     statistic: str = setting(
         default="receiver",
         one_of=("receiver", "channel"),
@@ -149,7 +148,6 @@ class DetectorAgent(Detector):
 class PolicyDetector(DetectorAgent):
     """A trained policy that learns no more, as a detector with a threshold."""
 
-    described_as = "PolicyDetector"
     policy: DetectorPolicy = setting(default=None, help="What decides; copied.")
     threshold: float = setting(
         default=1.0,
@@ -237,7 +235,6 @@ class LearnedDetector(Detector):
         Name on the card.
     """
 
-    described_as = "LearnedDetector"
     file: str = setting(
         help="Path of the ONNX file, whose card has the same name and lies in the same folder; "
         "or the name of a shipped detector."

@@ -85,7 +85,6 @@ class _Term(DetectorTerm):
 class Innovation(_Term):
     """Innovations over their standard deviations; 0 where a slot is invisible."""
 
-    described_as = "Innovation"
     words: ClassVar[tuple[str, ...]] = ("range_innovation", "rate_innovation")
     limits: ClassVar[tuple[float, float]] = (-10.0, 10.0)
 
@@ -103,7 +102,6 @@ class AverageInnovation(_Term):
     `roberts1959`.  A satellite that sets starts again.
     """
 
-    described_as = "AverageInnovation"
     words: ClassVar[tuple[str, ...]] = ("range_average", "rate_average")
     limits: ClassVar[tuple[float, float]] = (-30.0, 30.0)
     smoothing: float = average_smoothing("Lambda; the default averages over some ten epochs.")
@@ -126,7 +124,6 @@ class AverageInnovation(_Term):
 class InnovationSd(_Term):
     """Standard deviations of the innovations."""
 
-    described_as = "InnovationSd"
     words: ClassVar[tuple[str, ...]] = ("range_sd", "rate_sd")
     limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
     range_scale_m: float = setting(
@@ -146,7 +143,6 @@ class InnovationSd(_Term):
 class ChiSquare(_Term):
     """Normalized innovations squared, of both kinds together, over the degrees of freedom."""
 
-    described_as = "ChiSquare"
     words: ClassVar[tuple[str, ...]] = ("chi_square_ratio",)
     limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
     per_slot: ClassVar[bool] = False
@@ -165,7 +161,6 @@ class ChiSquare(_Term):
 class InView(_Term):
     """Whether a slot has a visible satellite."""
 
-    described_as = "InView"
     words: ClassVar[tuple[str, ...]] = ("visible",)
     limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
@@ -177,7 +172,6 @@ class InView(_Term):
 class PredictedMotion(_Term):
     """Velocity that the filter predicts, in local axes, and what the inertial sensors measure."""
 
-    described_as = "PredictedMotion"
     words: ClassVar[tuple[str, ...]] = (
         *(f"predicted_velocity_{axis}" for axis in LOCAL_AXES),
         *(f"specific_force_{axis}" for axis in BODY_AXES),
@@ -211,7 +205,6 @@ class PredictedMotion(_Term):
 class Elapsed(_Term):
     """Time since the detector was switched on, in the last part of the warm-up."""
 
-    described_as = "Elapsed"
     words: ClassVar[tuple[str, ...]] = ("elapsed",)
     limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
     per_slot: ClassVar[bool] = False
@@ -229,7 +222,6 @@ class Elapsed(_Term):
 class ExclusionLeft(_Term):
     """Part of the allowance of exclusion that is left."""
 
-    described_as = "ExclusionLeft"
     words: ClassVar[tuple[str, ...]] = ("exclusion_left",)
     limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
     per_slot: ClassVar[bool] = False
@@ -253,7 +245,6 @@ class LineOfSight(_Term):
     0 where a slot is invisible.
     """
 
-    described_as = "LineOfSight"
     words: ClassVar[tuple[str, ...]] = tuple(f"sight_{axis}" for axis in LOCAL_AXES)
     limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
     needs: ClassVar[frozenset[str]] = frozenset({"satellite_position"})
@@ -281,7 +272,6 @@ class Classic(_Term):
     statistic is 0, as where a slot is invisible.
     """
 
-    described_as = "Classic"
     limits: ClassVar[tuple[float, float]] = (-5.0, 5.0)
     detector: str | Mapping[str, Any] = setting(
         default="snapshot-chi2",

@@ -112,7 +112,6 @@ class PooledDetector(Detector):
     Training against a mixture of frozen opponents is what `lanctot2017` calls an oracle's response.
     """
 
-    described_as = "PooledDetector"
     members: Sequence[str | Mapping[str, Any] | Detector] = setting(
         default=("snapshot-chi2", "ewma"),
         help="Detectors as `make_detector` takes them; objects are copied.",

@@ -196,7 +196,6 @@ class Raim(ConsistencyTest):
     what is not known.
     """
 
-    described_as = "Raim"
     exclude: bool = exclusion("the satellite to blame has")
 
     paper: ClassVar[str] = "brown1992"
@@ -355,7 +354,6 @@ class SrvRaim(ConsistencyTest):
     is not known: no verdict, or nothing found.
     """
 
-    described_as = "SrvRaim"
     frame: str = setting(default="ned", one_of=("ned", "ecef"), help="Axes of the search vectors.")
     exclude: bool = exclusion("the second group, which may be the authentic one, has")
 
@@ -460,7 +458,6 @@ class TraversalRaim(ConsistencyTest):
     ``memory["group"]`` is as in `SrvRaim`.
     """
 
-    described_as = "TraversalRaim"
     largest_group: int = setting(
         default=LARGEST_GROUP, least=1, help="Most satellites to leave out."
     )

@@ -123,7 +123,6 @@ SPACINGS = {"equal": space_equally, "geometric": space_geometrically}
 class SolutionSeparation(FilterTest):
     """Separation of the filter from solutions that coast since several times; monitor only."""
 
-    described_as = "SolutionSeparation"
     false_alarm: float = alarm_probability(
         help="Probability of an alarm in one epoch where the filter's belief is right; shared "
         "out to the solutions of the bank, so that the true one is smaller."

@@ -39,8 +39,6 @@ class NeymanPearson:
     the rewards (B,) of the spoofer, 0 in clean episodes, and of the detector.
     """
 
-    described_as = "NeymanPearson"
-
     def __call__(self, outcome: DuelOutcome) -> tuple[FloatArray, FloatArray]:
         won = np.where(outcome.attacked, outcome.gain + outcome.retraction, 0.0)
         return won, 0.0 - won
@@ -50,7 +48,6 @@ class NeymanPearson:
 class Weighted:
     """Weighted sum of false alarms, delay and error, from the detector."""
 
-    described_as = "Weighted"
     false_alarm: float = setting(
         default=100.0, least=0.0, help="Price of an alarm in a clean episode, or before the onset."
     )

@@ -45,7 +45,6 @@ LARGEST_SCALE = 1e12  # bound of the scale of Q, so that an unstable run shows w
 class SelfTuning:
     """Settings of the self-tuning noise."""
 
-    described_as = "SelfTuning"
     window: int = setting(
         default=100,
         least=2,

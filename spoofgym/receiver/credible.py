@@ -127,7 +127,6 @@ def update_positions(
 class CredibleFilter:
     """Settings of the filter."""
 
-    described_as = "CredibleFilter"
     gain: float = setting(
         default=0.16,
         above=0.0,

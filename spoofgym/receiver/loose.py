@@ -33,7 +33,6 @@ class LooselyCoupled:
     with three numbers in metres for the position; in radians of latitude they would be absurd.
     """
 
-    described_as = "LooselyCoupled"
     horizontal_sd_m: float = setting(
         default=3.7,
         above=0.0,

@@ -101,7 +101,6 @@ class NoiseModel(NamedTuple):
 class TightlyCoupled:
     """Settings of the 17-state closed-loop tightly coupled receiver."""
 
-    described_as = "TightlyCoupled"
     grade: str = setting(
         default="aviation",
         one_of=FILTER_GRADES,

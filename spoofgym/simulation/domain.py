@@ -47,7 +47,6 @@ class Domain:
     Every receiver draws for itself, from its own stream, uniformly.  By default nothing differs.
     """
 
-    described_as = "Domain"
     start_s: tuple[float, float | None] = setting(
         default=(0.0, 0.0),
         unit="s",

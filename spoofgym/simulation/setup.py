@@ -33,7 +33,6 @@ MOST_EPOCHS = 100_000  # longest episode
 class Timeline:
     """Phases of an episode."""
 
-    described_as = "Timeline"
     warmup_s: float = setting(
         default=200.0, least=0.0, unit="s", help="Clean run before the attack."
     )
@@ -93,7 +92,6 @@ class RateCommands:
     """Displacement commanded by rates, one an axis, as an `Attack` of a smaller victim. `limits`
     (a,) are what an action of 1 means [m/s]."""
 
-    described_as = "RateCommands"
     kind: str
     names: tuple[str, ...]
     limits: tuple[float, ...]

@@ -124,7 +124,6 @@ class Feedback(HeldBack):
     .. math:: v = a \left(1 + (g - 1) \frac tT\right)
     """
 
-    described_as = "Feedback"
     rate_mps: float = setting(
         default=0.24,
         unit="m/s",
@@ -159,8 +158,6 @@ class FeedbackProfile(HeldBack, AlongCurve):
     fitted, it is no worse than the curve.
     """
 
-    described_as = "FeedbackProfile"
-
     def __post_init__(self) -> None:
         HeldBack.__post_init__(self)
         AlongCurve.__post_init__(self)
@@ -184,7 +181,6 @@ class ThresholdRider(AlongCurve):
     It knows the victim's statistics (oracle), and nothing of the detector.
     """
 
-    described_as = "ThresholdRider"
     margin: float = setting(
         default=1.15,
         above=0.0,

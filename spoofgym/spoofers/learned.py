@@ -60,7 +60,6 @@ class OnnxPolicy(LearnedSpoofer):
         Of the card.
     """
 
-    described_as = "OnnxPolicy"
     file: str = setting(help="Name of a shipped one, or path of an ``.onnx`` file.")
     sha256: str | None = setting(
         default=None, help="Digest that the file must have; by default the card's."

@@ -38,7 +38,6 @@ class Profile(ScriptedSpoofer):
     The attack's limits hold as for every spoofer: what is wanted faster comes later.
     """
 
-    described_as = "Profile"
     rates_mps: tuple[float, ...] = setting(
         default=(0.0, 0.2),
         unit="m/s",
@@ -107,7 +106,6 @@ class OpenLoop(Profile):
     `spoofgym.bench.search.open_loop`; with rates it plays them.
     """
 
-    described_as = "OpenLoop"
     rates_mps: tuple[float, ...] = setting(
         default=(),
         empty=True,
@@ -187,7 +185,6 @@ class ActionCurves(Spoofer):
     curves belong to its `control`, `basis` and scales.
     """
 
-    described_as = "ActionCurves"
     knowledge = "blind"
     curves: tuple[tuple[float, ...], ...] = setting(
         default=((0.0, 0.1),),

@@ -31,7 +31,6 @@ SLOWEST = 1e-3  # slowest rate of a search, as a part of the attack's limit
 class Ramp(ScriptedSpoofer):
     """Pushes at a constant rate, reached at the largest acceleration that the attack allows."""
 
-    described_as = "Ramp"
     rate_mps: float = setting(
         default=0.5,
         unit="m/s",
@@ -61,7 +60,6 @@ class Ramp(ScriptedSpoofer):
 class AcceleratingRamp(ScriptedSpoofer):
     """Pushes ever faster, until the attack's limit of the rate."""
 
-    described_as = "AcceleratingRamp"
     acceleration_mps2: float = setting(
         default=0.005,
         unit="m/s^2",
@@ -95,7 +93,6 @@ SMALLEST, LARGEST = 0.1, 1000.0  # range of a search [m]
 class Step(ScriptedSpoofer):
     """Moves to a displacement as quickly as the attack allows, without overshoot, and holds it."""
 
-    described_as = "Step"
     size_m: float = setting(
         default=100.0,
         unit="m",
@@ -133,7 +130,6 @@ def fastest(rest: FloatArray, rate: FloatArray, gain: float, interval: float) ->
 class Dash(ScriptedSpoofer):
     """Waits, then pushes at a rate that it reaches at the largest acceleration."""
 
-    described_as = "Dash"
     rate_mps: float = setting(
         default=10.0,
         unit="m/s",
@@ -166,7 +162,6 @@ SHAPES = ("ramp", "step")
 class Intermittent(ScriptedSpoofer):
     """Ramps and steps of the displacement, one after the other, with pauses between them."""
 
-    described_as = "Intermittent"
     shapes: tuple[str, ...] = setting(
         default=("ramp",),
         help='Shape of each burst, ``"ramp"`` or ``"step"``; after the last one it starts again '
@@ -244,7 +239,6 @@ class Intermittent(ScriptedSpoofer):
 class NoSpoofer(Spoofer):
     """Commands zero; a benchmark leaves the measurements of its runs authentic."""
 
-    described_as = "NoSpoofer"
     knowledge = "blind"
     transmits = False
 

@@ -14,7 +14,6 @@ from ..earth.wgs84 import SPEED_OF_LIGHT
 class ReceiverClock:
     """Two-state clock in units of range; Groves (2013), section 9.4.2."""
 
-    described_as = "ReceiverClock"
     offset_m: float = setting(default=10_000.0, unit="m", help="Offset at the start.")
     drift_mps: float = setting(default=100.0, unit="m/s", help="Drift at the start.")
     phase_psd: float = setting(

@@ -42,7 +42,6 @@ class BenignEvents:
     those of a mild one.  The other ranges have no source: they are a choice.
     """
 
-    described_as = "BenignEvents"
     clock_step: float = part_of_episodes("a step of the receiver's clock")
     clock_step_m: tuple[float, float] = setting(
         default=(1.0, 10.0), unit="m", help="Range of its size; its sign is drawn."

@@ -53,7 +53,6 @@ class Flight:
     because a compiled kernel is compiled again for read-only arrays.
     """
 
-    described_as = "Flight"
     name: str
     time: NDArray[np.float64]
     position_e: NDArray[np.float64]
@@ -237,7 +236,6 @@ class Trajectory(Flight):
     - `decimation`: samples of the sensors that are summed up in each one here.
     """
 
-    described_as = "Trajectory"
     specific_force_b: NDArray[np.float64]
     angular_rate_b: NDArray[np.float64]
     decimation: int = 1

@@ -39,7 +39,6 @@ class GnssErrors:
     Groves (2013), section 9.3, as its software simulates it.
     """
 
-    described_as = "GnssErrors"
     code_sd_m: float = setting(least=0.0, unit="m", help="White noise of pseudoranges.")
     range_rate_sd_mps: float = setting(least=0.0, unit="m/s", help="White noise of range rates.")
     signal_in_space_sd_m: float = setting(
@@ -164,7 +163,6 @@ class PositionErrors:
     each sample; the paper does not say whether it changed them.
     """
 
-    described_as = "PositionErrors"
     horizontal_sd_m: float = setting(
         default=1.6,
         least=0.0,

@@ -28,7 +28,6 @@ class Pulse:
     """A rate that rises, holds and falls, with raised-cosine edges. `ramp`: duration of each edge
     [s]; `hold`: duration between them [s]."""
 
-    described_as = "Pulse"
     peak: float
     ramp: float
     hold: float
@@ -90,7 +89,6 @@ class Manoeuvre(Protocol):
 class Straight:
     """Straight and level motion for a while."""
 
-    described_as = "Straight"
     axis: ClassVar[Axis] = "none"
     duration_s: float = setting(above=0.0, unit="s", help="Duration.")
 
@@ -102,7 +100,6 @@ class Straight:
 class Until:
     """Straight and level motion until a time of the flight."""
 
-    described_as = "Until"
     axis: ClassVar[Axis] = "none"
     time_s: float = setting(above=0.0, unit="s", help="Time since the start of the flight.")
 
@@ -123,7 +120,6 @@ class Turn:
         \tan\phi = v\,\dot\psi / g
     """
 
-    described_as = "Turn"
     axis: ClassVar[Axis] = "turn"
     angle_deg: float = setting(unit="deg", help="Change of heading, positive to the right.")
     bank_deg: float = setting(
@@ -147,7 +143,6 @@ class Turn:
 class Steer:
     """A turn on wheels, without bank."""
 
-    described_as = "Steer"
     axis: ClassVar[Axis] = "steer"
     angle_deg: float = setting(unit="deg", help="Change of heading, positive to the right.")
     rate_degps: float = setting(
@@ -167,7 +162,6 @@ class Steer:
 class Climb:
     """A change of height at constant speed along the path."""
 
-    described_as = "Climb"
     axis: ClassVar[Axis] = "climb"
     height_m: float = setting(unit="m", help="Change of height, negative to descend.")
     rate_mps: float = setting(
@@ -196,7 +190,6 @@ class Climb:
 class Accelerate:
     """A change of speed on a straight and level path."""
 
-    described_as = "Accelerate"
     axis: ClassVar[Axis] = "speed"
     change_mps: float = setting(unit="m/s", help="Change of speed, negative to slow down.")
     acceleration_mps2: float = setting(

@@ -56,7 +56,6 @@ class RobotTrack:
     - `distance` (N+1,) travelled by the middle of the axle [m].
     """
 
-    described_as = "RobotTrack"
     time: FloatArray
     position_ne: FloatArray
     velocity_ne: FloatArray
@@ -74,7 +73,6 @@ class RobotTrack:
 class RobotLoop:
     """A rectangular course."""
 
-    described_as = "RobotLoop"
     length_m: float = setting(
         default=13.4, above=0.0, unit="m", help="Length of the side that is driven first."
     )
@@ -163,7 +161,6 @@ MOST_SAMPLES = BLOCK  # most encoder samples between two fixes: one block of noi
 class Odometer:
     """Encoders and heading."""
 
-    described_as = "Odometer"
     counts_per_turn: int = setting(default=495, least=1, help="Counts of an encoder in a turn.")
     wheel_radius_m: float = setting(
         default=0.0325, above=0.0, unit="m", help="Radius of the wheels."
@@ -194,7 +191,6 @@ class Odometer:
 class FixErrors:
     """GNSS position errors, alike in north and east."""
 
-    described_as = "FixErrors"
     correlated_sd_m: float = setting(
         default=1.0, least=0.0, unit="m", help="Standard deviation of the Gauss-Markov error."
     )

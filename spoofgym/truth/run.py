@@ -331,7 +331,6 @@ class InertialErrors:
     the factor of 3 of its initial covariance.
     """
 
-    described_as = "InertialErrors"
     gyro_noise_deg_per_rth: float = setting(
         default=0.005, least=0.0, unit="deg/h^0.5", help="White noise of the gyros."
     )
@@ -394,7 +393,6 @@ class LooseWorld:
     - `C_el` (K, 3, 3) to ECEF from local east-north-up axes.
     """
 
-    described_as = "LooseWorld"
     name: str
     interval_s: float
     imu_interval_s: float

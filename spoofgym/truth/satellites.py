@@ -99,7 +99,6 @@ class CircularConstellation:
         \omega = \sqrt{\mu / r^3}
     """
 
-    described_as = "CircularConstellation"
     satellites: int = setting(
         default=30,
         least=1,
@@ -158,7 +157,6 @@ class CombinedConstellation:
     """Several constellations as one, on one system time: a receiver hears them all, and has one
     clock for them."""
 
-    described_as = "CombinedConstellation"
     parts: tuple[Constellation, ...] = setting(help="Constellations with different satellite ids.")
 
     def __post_init__(self) -> None:

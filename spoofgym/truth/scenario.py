@@ -55,7 +55,6 @@ class Scenario:
     proportion.
     """
 
-    described_as = "Scenario"
     name: str = setting(default="custom", help="Name that results show.")
     flight: str | Flight = setting(default="zhong2025", help="A name in `FLIGHTS`, or a flight.")
     errors: str | GnssErrors = setting(default="zhong2025", help="A name in `ERRORS`, or errors.")

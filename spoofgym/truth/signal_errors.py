@@ -59,7 +59,6 @@ class SignalErrors:
     Obliquities and multipath: `do-229`, A.4.4.10.4, A.4.2.4 and J.2.4.
     """
 
-    described_as = "SignalErrors"
     carrier_sd_m: float = standard_deviation("Noise of a reading of the carrier.")
     ionosphere_sd_m: float = standard_deviation("Delay by the ionosphere, in the zenith.")
     ionosphere_s: float = correlation_time(1800.0, "Time in which its correlation falls to 1/e.")

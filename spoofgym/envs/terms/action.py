@@ -58,8 +58,6 @@ def _horizontal_limit(setup: Setup, whose: str) -> float:
 class FullCommand:
     """Every element that the attack takes, as it is."""
 
-    described_as = "FullCommand"
-
     def names(self, setup: Setup) -> tuple[str, ...]:
         return setup.action_names
 
@@ -75,7 +73,6 @@ class AlongTarget:
     The attack must be a false position with commands north and east.
     """
 
-    described_as = "AlongTarget"
     along_target: ClassVar[bool] = True
 
     def names(self, setup: Setup) -> tuple[str, ...]:
@@ -100,8 +97,6 @@ class AcrossTarget:
     The attack must be a false position with commands north and east.
     """
 
-    described_as = "AcrossTarget"
-
     def names(self, setup: Setup) -> tuple[str, ...]:
         AlongTarget().names(setup)
         return (f"across_target_{setup.attack.control}",)
@@ -114,7 +109,6 @@ class AcrossTarget:
 class Channels:
     """One element for each of some channels or axes; the others are left alone."""
 
-    described_as = "Channels"
     ids: tuple[str, ...] = setting(
         help='Satellites of an attack per channel, such as ``"S05"``, or axes of a false position, '
         'such as ``"north"``; different ones.'
@@ -141,8 +135,6 @@ class CommonOffset:
 
     The attack must command every channel for itself.
     """
-
-    described_as = "CommonOffset"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         if setup.attack.kind != "per-channel":
@@ -171,7 +163,6 @@ class RateSetpoint:
     north and east.
     """
 
-    described_as = "RateSetpoint"
     dimensions: int = setting(
         default=1,
         least=1,
@@ -215,7 +206,6 @@ class Residual:
     An action of 0 plays that attack as it is.  It stands alone.
     """
 
-    described_as = "Residual"
     spoofer: Any = setting(
         help="The base: a name, a name with settings, an ``.onnx`` file or an object, as "
         "`make_spoofer` takes it, which observes no more than the environment shows."

@@ -85,7 +85,6 @@ class _Term:
 class OwnCommand(_Term):
     """Commanded displacement and rate."""
 
-    described_as = "OwnCommand"
     scale_m: float = setting(
         default=40.0, above=0.0, unit="m", help="Displacement that is observed as 1."
     )
@@ -134,7 +133,6 @@ class OwnOffsets(_Term):
     where the captured satellites do, which channels are captured.
     """
 
-    described_as = "OwnOffsets"
     knowledge: ClassVar[str] = "blind"
     latent: ClassVar[bool] = False
     limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
@@ -171,7 +169,6 @@ class OwnOffsets(_Term):
 class Time(_Term):
     """Parts of the command phase that are over, and left."""
 
-    described_as = "Time"
     latent: ClassVar[bool] = False
     knowledge: ClassVar[str] = "blind"
     limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
@@ -228,7 +225,6 @@ class _Tabled(_Term):
 class TargetMotion(_Tabled):
     """True position since the onset, and true velocity, in local axes at the onset."""
 
-    described_as = "TargetMotion"
     position_scale_m: float = setting(
         default=10_000.0, above=0.0, unit="m", help="Change of position that is observed as 1."
     )
@@ -258,7 +254,6 @@ class TargetMotion(_Tabled):
 class TargetDirection(_Term):
     """Direction in which displacement counts: its north and its east component."""
 
-    described_as = "TargetDirection"
     latent: ClassVar[bool] = False
     knowledge: ClassVar[str] = "blind"
     limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
@@ -275,7 +270,6 @@ class TargetDirection(_Term):
 class SatelliteGeometry(_Tabled):
     """Line of sight to every slot in local axes, then whether it is visible, or spoofed."""
 
-    described_as = "SatelliteGeometry"
     least_change: float = setting(
         default=0.05,
         least=0.0,
@@ -302,7 +296,6 @@ class SatelliteGeometry(_Tabled):
 class StatisticRatio(_Term):
     """The detector's statistic over its threshold: 1 is an alarm."""
 
-    described_as = "StatisticRatio"
     largest: bool = setting(
         default=False, help="Whether only the largest of all channels is observed."
     )
@@ -331,7 +324,6 @@ class StatisticRatio(_Term):
 class GainWeight(_Term):
     """The detector's weight on every pseudorange, or on the position; 1 from a monitor."""
 
-    described_as = "GainWeight"
     latent: ClassVar[bool] = False
     knowledge: ClassVar[str] = "oracle"
     limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
@@ -347,7 +339,6 @@ class GainWeight(_Term):
 class EstimateError(_Term):
     """Error of the victim's position in the local axes of the epoch."""
 
-    described_as = "EstimateError"
     scale_m: float = setting(default=40.0, above=0.0, unit="m", help="Error that is observed as 1.")
     knowledge: ClassVar[str] = "oracle"
 
@@ -362,7 +353,6 @@ class EstimateError(_Term):
 class DivergenceSpent(_Term):
     """Divergence that the attack has caused so far, over a budget; see `Divergence`."""
 
-    described_as = "DivergenceSpent"
     budget_nats: float = setting(
         default=2.0,
         above=0.0,
@@ -389,7 +379,6 @@ class ReportedPosition(_Term):
     What the newest report says that has arrived; nothing, which is 0, before there is one.
     """
 
-    described_as = "ReportedPosition"
     scale_m: float = setting(
         default=10_000.0,
         above=0.0,
@@ -456,7 +445,6 @@ class ReportedDeviation(ReportedPosition):
     The spoofer knows that time, and tracks the target; its own tracking error is not in this.
     """
 
-    described_as = "ReportedDeviation"
     scale_m: float = setting(
         default=40.0,
         above=0.0,

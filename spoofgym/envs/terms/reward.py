@@ -70,7 +70,6 @@ class _Shared:
 class DisplacementGain(_Shared):
     """Increase of the undetected displacement along the target direction."""
 
-    described_as = "DisplacementGain"
     per_m: float = setting(default=1.0, unit="1/m", help="Reward of one metre.")
     name: ClassVar[str] = "displacement"
     field: ClassVar[str] = "gain"
@@ -80,7 +79,6 @@ class DisplacementGain(_Shared):
 class Retraction(_Shared):
     """What was gained within the time to alert of an alarm is taken back."""
 
-    described_as = "Retraction"
     per_m: float = setting(
         default=1.0, unit="1/m", help="Reward of one metre; that of `DisplacementGain`."
     )
@@ -92,7 +90,6 @@ class Retraction(_Shared):
 class AlarmPenalty(_Shared):
     """Price of the first alarm; with a clean twin, where that has not alarmed so far."""
 
-    described_as = "AlarmPenalty"
     penalty_m: float = setting(
         default=60.0, least=0.0, unit="m", help="Price of it, as a displacement."
     )
@@ -105,7 +102,6 @@ class AlarmPenalty(_Shared):
 class AlarmedEpochs(_Shared):
     """Price of every epoch with an alarm, for episodes that go on after the first."""
 
-    described_as = "AlarmedEpochs"
     per_epoch_m: float = setting(
         default=1.0, least=0.0, unit="m", help="Price of each, as a displacement."
     )
@@ -121,7 +117,6 @@ class EffortPenalty:
     Of an action that corrects a base, the sum of both counts, as it is played.
     """
 
-    described_as = "EffortPenalty"
     at_full_m: float = setting(
         default=0.1,
         least=0.0,
@@ -139,7 +134,6 @@ class EffortPenalty:
 class TerminalDisplacement:
     """Undetected displacement of the episode, all of it at its end."""
 
-    described_as = "TerminalDisplacement"
     per_m: float = setting(default=1.0, unit="1/m", help="Reward of one metre.")
     name: ClassVar[str] = "terminal_displacement"
 

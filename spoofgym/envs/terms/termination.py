@@ -42,7 +42,6 @@ class EndTerm(Protocol):
 class AtAlarm:
     """The first alarm of the detector in the loop."""
 
-    described_as = "AtAlarm"
     name: ClassVar[str] = "alarm"
     truncates: ClassVar[bool] = False
 
@@ -57,7 +56,6 @@ class AtAlarm:
 class AtWindowEnd:
     """The last command of the attack window; ends every episode, listed or not."""
 
-    described_as = "AtWindowEnd"
     name: ClassVar[str] = "window"
     truncates: ClassVar[bool] = False
 
@@ -69,7 +67,6 @@ class AtWindowEnd:
 class AtDisplacement:
     """Displacement along the target direction, as far as the spoofer wants it."""
 
-    described_as = "AtDisplacement"
     limit_m: float = setting(above=0.0, unit="m", help="Displacement at which the episode ends.")
     name: ClassVar[str] = "displacement"
     truncates: ClassVar[bool] = False
@@ -82,7 +79,6 @@ class AtDisplacement:
 class AtStealthBudget:
     """Divergence that the attack may cause: half the sum of rho' S^-1 rho, as the filter has it."""
 
-    described_as = "AtStealthBudget"
     budget_nats: float = setting(
         above=0.0,
         unit="nats",
@@ -101,7 +97,6 @@ class AtStealthBudget:
 class AtSteps:
     """Number of commands after which a caller stops the episode; truncates."""
 
-    described_as = "AtSteps"
     steps: int = setting(least=1, help="Decisions; each may last several epochs.")
     name: ClassVar[str] = "steps"
     truncates: ClassVar[bool] = True
