@@ -18,7 +18,6 @@ import pytest
 import spoofgym
 import tools.calibrations
 from spoofgym.attacks import PerChannel
-from spoofgym.attacks.equipment import CounterfeitErrors
 from spoofgym.calibration.holdouts import check
 from spoofgym.calibration.thresholds import inner_detectors
 from spoofgym.core.settings import describe, get_kind

@@ -15,11 +15,14 @@ from typing import Any
 import gymnasium as gym
 
 from spoofgym.bench.report.table import Table
+from spoofgym.core.declared import list_declarations
 from spoofgym.core.files import write_file
 from spoofgym.duel_v0 import DetectorView
-from spoofgym.envs import SpoofEnv
 from spoofgym.envs.core import ALARM_PRICE
 from spoofgym.envs.rendering import save_animation
+from spoofgym.envs.terms.action import CommandMap, default_action
+from spoofgym.envs.terms.observation import default_terms
+from spoofgym.simulation.setup import Setup
 from tools.pages import DOCS, render_page
 
 FOLDER = DOCS / "environments"
@@ -31,20 +34,61 @@ IDS = {
     "WheeledRobot": "a robot with odometry, of `song2021`",
     "Offsets": "the world of task S1, with an action for each satellite",
 }
-"""In the order of their tables in the docstring of `SpoofEnv`; the last has none."""
 HEAD = ("index", "element", "unit", "scale")
 
 
-def read_table(kind: type[Any], number: int = 0) -> list[list[str]]:
-    """Rows of a table of observations in a docstring, which a test holds against the terms."""
+SCALES = {
+    "own_displacement": "scale_m",
+    "own_rate": "rate_scale_mps",
+    "target_position": "position_scale_m",
+    "target_velocity": "velocity_scale_mps",
+    "error": "scale_m",
+    "reported": "scale_m",
+}
+"""Setting that is observed as 1, by the first words of an element's name."""
+
+
+def read_table(kind: type[Any]) -> list[list[str]]:
+    """Rows of the table of observations in a docstring, which a test holds against the terms."""
     parts = re.split(r"^ *=====  =+ .*$", kind.__doc__ or "", flags=re.MULTILINE)
-    return [re.split(r" {2,}", row.strip()) for row in parts[3 * number + 2].strip().splitlines()]
+    return [re.split(r" {2,}", row.strip()) for row in parts[2].strip().splitlines()]
+
+
+def find_unit(name: str, term: Any, setup: Setup) -> tuple[str, float]:
+    """Unit of an element, and what is observed as 1."""
+    for word, scale in {"time": setup.steps * setup.interval_s, "report_age": 1.0}.items():
+        if name.startswith(word):
+            return "s", scale
+    found = [scale for word, scale in SCALES.items() if name.startswith(word)]
+    if not found:
+        return "1", 1.0
+    return list_declarations(type(term))[found[0]][0].unit, getattr(term, found[0])
+
+
+def list_elements(name: str) -> list[list[str]]:
+    """Index, name, unit, scale and knowledge of what an environment observes by default; elements
+    that slots have alike share a row."""
+    env: Any = gym.make(f"spoofgym/{name}-v0").unwrapped
+    setup = env.core.setup
+    along = CommandMap(default_action(setup), setup).along_target
+    rows, first = [], 0
+    for term in default_terms(setup, "oracle+reported", along_target=along):
+        for key, group in groupby(term.names(setup), lambda n: n.split("_")[0] * ("slot" in n)):
+            names = list(group)
+            for part in [names] if key else [[each] for each in names]:
+                words = dict.fromkeys(re.sub(r"slot\d+", "slotJJ", each) for each in part)
+                unit, scale = find_unit(part[0], term, setup)
+                index = f"{first}-{first + len(part) - 1}" if len(part) > 1 else str(first)
+                shown = f"{float(f'{scale:.4g}'):g}"
+                rows.append([index, ", ".join(words), unit, shown, term.knowledge])
+                first += len(part)
+    return rows
 
 
 def build_spoofer_page(name: str) -> str:
     env: Any = gym.make(f"spoofgym/{name}-v0", detector="never").unwrapped
-    number = [*IDS].index(name) if name != "Offsets" else 0
-    found = groupby(read_table(SpoofEnv, number), key=lambda row: row[-1])
+    seen = "TightlyCoupled" if name == "Offsets" else name
+    found = groupby(list_elements(seen), key=lambda row: row[-1])
     tables = {key: Table.of_texts(*HEAD).markdown(row[:-1] for row in rows) for key, rows in found}
     if name == "Offsets":  # whose own commands are others
         del tables["blind"]

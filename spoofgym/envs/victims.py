@@ -34,59 +34,9 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     clipped.  ``env.unwrapped.observation_names`` names them.  `knowledge` decides which there are:
     ``"blind"``; ``"tracking"``, which adds what is known of the target; ``"oracle"``, which also
     sees the victim's statistics and error; and each of them with ``"+reported"``, which adds the
-    position that the victim itself broadcasts.  With ``"oracle+reported"`` it is, in
-    ``spoofgym/TightlyCoupled-v0``,
-
-    =====  ========================================================  ====  ======  =================
-    index  name                                                      unit  scale   knowledge
-    =====  ========================================================  ====  ======  =================
-    0      own_displacement_along_target                             m     40      blind
-    1      own_rate_along_target                                     m/s   0.2667  blind
-    2      time_since_onset                                          s     150     blind
-    3      time_left                                                 s     150     blind
-    4      target_position_north                                     m     10000   tracking
-    5      target_position_east                                      m     10000   tracking
-    6      target_position_down                                      m     10000   tracking
-    7      target_velocity_north                                     m/s   100     tracking
-    8      target_velocity_east                                      m/s   100     tracking
-    9      target_velocity_down                                      m/s   100     tracking
-    10-45  sight_north_slotJJ, sight_east_slotJJ, sight_down_slotJJ  1     1       tracking
-    46-57  visible_slotJJ                                            1     1       tracking
-    58     statistic_ratio                                           1     1       oracle
-    59-70  weight_slotJJ                                             1     1       oracle
-    71     error_north                                               m     40      oracle
-    72     error_east                                                m     40      oracle
-    73     error_down                                                m     40      oracle
-    74     reported_deviation_north                                  m     40      tracking+reported
-    75     reported_deviation_east                                   m     40      tracking+reported
-    76     report_age                                                s     1       tracking+reported
-    =====  ========================================================  ====  ======  =================
-
-    where the rate's scale is the length 40 m in the attack window, and the target's motion and the
-    satellites are left out as far as they stay the same in the window.  Elements after those that
-    are not known move up.  ``"blind+reported"`` has ``reported_position_north`` and ``_east`` in
-    units of 10 km instead of the deviation.  ``spoofgym/Zhong2025-v0``, whose sky and flight are
-    always the same, has
-
-    =====  =============================  ====  ======  =================
-    index  name                           unit  scale   knowledge
-    =====  =============================  ====  ======  =================
-    0      own_displacement_along_target  m     40      blind
-    1      own_rate_along_target          m/s   0.2667  blind
-    2      time_since_onset               s     150     blind
-    3      time_left                      s     150     blind
-    4      target_position_east           m     10000   tracking
-    5      target_velocity_down           m/s   100     tracking
-    6-17   statistic_ratio_slotJJ         1     1       oracle
-    18     statistic_ratio                1     1       oracle
-    19-30  weight_slotJJ                  1     1       oracle
-    31     error_north                    m     40      oracle
-    32     error_east                     m     40      oracle
-    33     error_down                     m     40      oracle
-    34     reported_deviation_north       m     40      tracking+reported
-    35     reported_deviation_east        m     40      tracking+reported
-    36     report_age                     s     1       tracking+reported
-    =====  =============================  ====  ======  =================
+    position that the victim itself broadcasts.  The target's motion and the satellites are left out
+    as far as they stay the same in the attack window.  The page of each id has the tables of all
+    elements, with index, unit, scale and the knowledge that they take.
 
     **Reward.** With U the undetected displacement so far [m], c the cost and :math:`\kappa` and L
     the settings `alarm_price` and `length_m`, the reward of a step k is
@@ -116,33 +66,7 @@ class SpoofEnv(CoreEnv[SpoofCore]):
 
     The action is `Box(-1, 1, (2,), float32)`: rates of the offset north and east, over their limit
     (5 m/s by default). Rewards and ends are as above; it starts without an offset. Settings of its
-    own are those of `LooselyCoupledSetup`. It observes, with ``"oracle+reported"``,
-
-    =====  ========================  ====  =====  =================
-    index  name                      unit  scale  knowledge
-    =====  ========================  ====  =====  =================
-    0      own_displacement_north    m     25     blind
-    1      own_displacement_east     m     25     blind
-    2      own_rate_north            m/s   5      blind
-    3      own_rate_east             m/s   5      blind
-    4      time_since_onset          s     5      blind
-    5      time_left                 s     5      blind
-    6      target_position_north     m     10000  tracking
-    7      target_position_east      m     10000  tracking
-    8      target_position_down      m     10000  tracking
-    9      target_velocity_north     m/s   100    tracking
-    10     target_velocity_east      m/s   100    tracking
-    11     target_velocity_down      m/s   100    tracking
-    12     statistic_ratio           1     1      oracle
-    13     weight_east               1     1      oracle
-    14     weight_north              1     1      oracle
-    15     weight_up                 1     1      oracle
-    16     error_north               m     25     oracle
-    17     error_east                m     25     oracle
-    18     reported_deviation_north  m     25     tracking+reported
-    19     reported_deviation_east   m     25     tracking+reported
-    20     report_age                s     1      tracking+reported
-    =====  ========================  ====  =====  =================
+    own are those of `LooselyCoupledSetup`.
 
     **Victim** ``"snapshot"``. A vehicle goes straight on; its receiver has no filter and no
     inertial sensors. The spoofer has some of the satellites in view, and makes them imply a
@@ -155,34 +79,7 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     above; it starts without a displacement. A fix of one epoch is as noisy as its pseudoranges: the
     largest displacement of an idle spoofer is some metres, with few satellites many, and that is
     the zero of this scale. The detector is ``srv-raim`` by default. Settings of its own are those
-    of `SnapshotSetup`. It observes, with ``"oracle+reported"``,
-
-    =====  ========================================================  ====  ======  =================
-    index  name                                                      unit  scale   knowledge
-    =====  ========================================================  ====  ======  =================
-    0      own_displacement_north                                    m     40      blind
-    1      own_displacement_east                                     m     40      blind
-    2      own_displacement_down                                     m     40      blind
-    3      own_displacement_clock                                    m     40      blind
-    4      own_rate_north                                            m/s   0.6667  blind
-    5      own_rate_east                                             m/s   0.6667  blind
-    6      own_rate_down                                             m/s   0.6667  blind
-    7      own_rate_clock                                            m/s   0.6667  blind
-    8      time_since_onset                                          s     60      blind
-    9      time_left                                                 s     60      blind
-    10     target_position_north                                     m     10000   tracking
-    11     target_position_east                                      m     10000   tracking
-    12     target_position_down                                      m     10000   tracking
-    13-48  sight_north_slotJJ, sight_east_slotJJ, sight_down_slotJJ  1     1       tracking
-    49-60  spoofed_slotJJ                                            1     1       tracking
-    61     statistic_ratio                                           1     1       oracle
-    62-73  weight_slotJJ                                             1     1       oracle
-    74     error_north                                               m     40      oracle
-    75     error_east                                                m     40      oracle
-    76     reported_deviation_north                                  m     40      tracking+reported
-    77     reported_deviation_east                                   m     40      tracking+reported
-    78     report_age                                                s     1       tracking+reported
-    =====  ========================================================  ====  ======  =================
+    of `SnapshotSetup`.
 
     **Victim** ``"wheeled-robot"``. A robot drives round a closed course. Encoders and yaw carry its
     position on between the fixes of GNSS, one a second. The spoofer moves the fixes by an offset;
@@ -192,29 +89,7 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     The action is `Box(-1, 1, (2,), float32)`: rates of the offset north and east, over their limit
     (1 m/s by default). Rewards and ends are as above; it starts without an offset. The detector is
     ``acna`` in its production variant by default. Settings of its own are those of
-    `WheeledRobotSetup`. It observes, with ``"oracle+reported"``,
-
-    =====  ========================  ====  =======  =================
-    index  name                      unit  scale    knowledge
-    =====  ========================  ====  =======  =================
-    0      own_displacement_north    m     10       blind
-    1      own_displacement_east     m     10       blind
-    2      own_rate_north            m/s   0.06667  blind
-    3      own_rate_east             m/s   0.06667  blind
-    4      time_since_onset          s     150      blind
-    5      time_left                 s     150      blind
-    6      target_position_north     m     10       tracking
-    7      target_position_east      m     10       tracking
-    8      target_velocity_north     m/s   1        tracking
-    9      target_velocity_east      m/s   1        tracking
-    10     statistic_ratio           1     1        oracle
-    11     weight_fix                1     1        oracle
-    12     error_north               m     10       oracle
-    13     error_east                m     10       oracle
-    14     reported_deviation_north  m     10       tracking+reported
-    15     reported_deviation_east   m     10       tracking+reported
-    16     report_age                s     1        tracking+reported
-    =====  ========================  ====  =======  =================
+    `WheeledRobotSetup`.
 
     Parameters
     ----------
