@@ -43,7 +43,6 @@ Observation = NDArray[np.float32]
 C = TypeVar("C", bound=Core)
 NOT_RESET, OVER = "no episode has started", "the episode is over"
 LIMIT = "`max_episode_steps`"
-NEXT_STEP, SAME_STEP = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP
 
 
 class HasSpec:
@@ -286,19 +285,11 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
                 f"over: call reset(options={{'{RESET_MASK}': ...}}) before step()"
             )
         self._halfway = True
-        mode = self.autoreset_mode
-        if mode is NEXT_STEP:
-            result = self._next_step(given)
-        else:
-            result = self._same_step(given) if mode is SAME_STEP else self._plain_step(given)
+        # where nothing is reset by itself, no receiver is over here
+        same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
+        result = self._same_step(given) if same_step else self._next_step(given)
         self._halfway = False
         return result
-
-    def _plain_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        result, observation = self.core.step(given)
-        reward, terminated, truncated, info = self._report_step(result)
-        self._over = terminated | truncated
-        return observation, reward, terminated, truncated, info
 
     def _next_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         over = np.count_nonzero(self._over)
