@@ -148,7 +148,8 @@ def page_text(paper: Paper, stored: dict[str, Any]) -> str:
         lines.append("")
     lines += ["## Figures", "", "Drawn from our runs; the numbers are those of the paper.", ""]
     for name in stored["pictures"]:
-        lines += [f"![{picture_title(name)}]({FIGURES}/{name})", ""]
+        number = int(re.findall(r"[0-9]+", name)[-1])
+        lines += [f"![Figure {number}, drawn from our runs]({FIGURES}/{name})", ""]
     lines += [
         "## How it was run",
         "",
@@ -160,11 +161,6 @@ def page_text(paper: Paper, stored: dict[str, Any]) -> str:
         f"{computed}.",
     ]
     return "\n".join(lines) + "\n"
-
-
-def picture_title(name: str) -> str:
-    """Words for a picture, from the number in the name of its file."""
-    return f"Figure {int(re.findall(r'[0-9]+', name)[-1])}, drawn from our runs"
 
 
 def _line(texts: Any) -> str:

@@ -33,9 +33,7 @@ def band_text(low: float | None, high: float | None) -> str:
     return f"{number_text(low)} to {number_text(high)}"
 
 
-def verdict_text(verdict: bool | None) -> str:
-    """A row's verdict. Returns ``"yes"``, ``"NO"`` or ``"-"``."""
-    return {True: "yes", False: "NO", None: "-"}[verdict]
+ANSWERS = {True: "yes", False: "NO", None: "-"}
 
 
 def cells(row: Mapping[str, Any]) -> list[str]:
@@ -47,7 +45,7 @@ def cells(row: Mapping[str, Any]) -> list[str]:
         number_text(row["ours"]),
         band_text(row["low"], row["high"]),
         row["origin"] or "-",
-        *(verdict_text(row[name]) for name in COUNTS),
+        *(ANSWERS[row[name]] for name in COUNTS),
         row["note"],
     ]
 

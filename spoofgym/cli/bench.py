@@ -30,13 +30,7 @@ Verbose = Annotated[
 @with_options
 def bench(
     *,
-    task: Annotated[
-        str | None,
-        Option(
-            help="Task, S1 to S3 or T1 to T6 of the first suite, which sets scenario, receiver, "
-            "attack, times and detectors; see `spoofgym list tasks`."
-        ),
-    ] = None,
+    task: opt.Task = None,
     detector: Annotated[
         list[str] | None,
         Option(

@@ -19,13 +19,7 @@ MOST_WORLDS, BOUND_WORLDS = 1024, 8
 @with_options
 def limits(
     *,
-    task: Annotated[
-        str | None,
-        Option(
-            help="Task, S1 to S3 or T1 to T6 of the first suite, which sets scenario, receiver, "
-            "attack, times and detectors; see `spoofgym list tasks`."
-        ),
-    ] = None,
+    task: opt.Task = None,
     detector: Annotated[
         list[str] | None,
         Option(

@@ -30,6 +30,13 @@ SPEC_HELP = (
     '{"name": ..., "key": value}; or module:Class of your own, looked for in this folder too.'
 )
 Json = Annotated[bool, Option("--json", help="Print JSON, and nothing else.")]
+Task = Annotated[
+    str | None,
+    Option(
+        help="Task, S1 to S3 or T1 to T6 of the first suite, which sets scenario, receiver, "
+        "attack, times and detectors; see `spoofgym list tasks`."
+    ),
+]
 Detector = Annotated[
     str | None,
     Option(

@@ -33,28 +33,24 @@ from .zero_alarm import Bound, Sensitivity, ewma_bound, sequential_bound, snapsh
 
 EXCLUDES = "it excludes satellites or fixes, and tests other values than the filter's innovations"
 OPEN_LOOP_NOTE = "the optimized open-loop attack on the engine is a lower bound"
+GIVEN = "it is given the attack, so that its set is not symmetric"
 REFUSED: dict[type[Detector], tuple[str, str]] = {
-    detectors.Acna: (EXCLUDES, OPEN_LOOP_NOTE),
+    **dict.fromkeys(
+        (
+            *(detectors.Acna, detectors.Raim, detectors.Rio),
+            *(detectors.SrvRaim, detectors.TraversalRaim),
+        ),
+        (EXCLUDES, OPEN_LOOP_NOTE),
+    ),
+    **dict.fromkeys((detectors.OracleRamp, detectors.OracleStep), (GIVEN, OPEN_LOOP_NOTE)),
     detectors.Lottery: (
         "its alarm comes by chance, whatever the innovations are",
         "that of `never` holds",
-    ),
-    detectors.OracleRamp: (
-        "it is given the attack, so that its set is not symmetric",
-        OPEN_LOOP_NOTE,
-    ),
-    detectors.OracleStep: (
-        "it is given the attack, so that its set is not symmetric",
-        OPEN_LOOP_NOTE,
     ),
     detectors.PooledDetector: (
         "another member is drawn for every episode",
         "that of each member holds for its episodes",
     ),
-    detectors.Raim: (EXCLUDES, OPEN_LOOP_NOTE),
-    detectors.Rio: (EXCLUDES, OPEN_LOOP_NOTE),
-    detectors.SrvRaim: (EXCLUDES, OPEN_LOOP_NOTE),
-    detectors.TraversalRaim: (EXCLUDES, OPEN_LOOP_NOTE),
 }
 """Why a detector has no zero-alarm bound, and what holds in its place."""
 

@@ -10,7 +10,6 @@ from ..core.registry import check_choice
 
 ALARM_PRICE = 1.5
 """What an alarm costs in the reward of the environments, as by default elsewhere, in lengths."""
-BUDGET = 0.05  # largest P(alarm | silent twin) of a spoofer that scores
 
 
 def name_environment(key: str, version: int) -> str:

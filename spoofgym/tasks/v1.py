@@ -123,33 +123,14 @@ def _held_out(quiet: bool, timeline: dict[str, float] | None) -> tuple[AttackFam
     )
 
 
+QUIETER = "a counterfeit that is quieter than nature, alert limit 20 m"
 DETECTOR_TASKS: dict[str, DetectorTask] = {
-    task.key: task
-    for task in (
-        DetectorTask(
-            "v1/D1",
-            "drawn worlds, alert limit 20 m",
-            TASKS["T3"],
-            (*PUBLIC, *_held_out(False, EARLY)),
-        ),
-        DetectorTask(
-            "v1/D2",
-            "tactical sensors, five minutes along an airway, alert limit 556 m",
-            TASKS["T4"],
-            (*PUBLIC, *_held_out(False, None)),
-        ),
-        DetectorTask(
-            "v1/D3",
-            "a counterfeit that is quieter than nature, alert limit 20 m",
-            TASKS["T5"],
-            (*PUBLIC, *_held_out(True, EARLY)),
-        ),
-        DetectorTask(
-            "v1/D4",
-            "drawn worlds, alert limit 40 m",
-            TASKS["T6"],
-            (*PUBLIC, *_held_out(False, EARLY)),
-        ),
+    key: DetectorTask(key, title, TASKS[of], (*PUBLIC, *_held_out(quiet, timeline)))
+    for key, title, of, quiet, timeline in (
+        ("v1/D1", "drawn worlds, alert limit 20 m", "T3", False, EARLY),
+        ("v1/D2", TASKS["T4"].title, "T4", False, None),
+        ("v1/D3", QUIETER, "T5", True, EARLY),
+        ("v1/D4", "drawn worlds, alert limit 40 m", "T6", False, EARLY),
     )
 }
 """The tasks for detectors by their keys."""

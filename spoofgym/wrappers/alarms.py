@@ -19,7 +19,6 @@ from ..envs.factory import composable
 from .single import SingleWrapper
 
 Observation = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 
 class AlarmSummary(NamedTuple):

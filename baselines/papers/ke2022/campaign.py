@@ -200,6 +200,7 @@ def attack(
     `told_satellites`: what an oracle is told; the truth by default.  Returns arrays, named
     ``"<method>/<what>"``."""
     found: dict[str, Any] = {}
+    same: Any = {"scenario": scenario, "update": update, "runs": runs, "seed": seed}
     for method in methods:
         if method == "watchers":
             loop, watchers, name = Never(), WATCHERS, ""
@@ -207,18 +208,7 @@ def attack(
             told = size if told_size is None else told_size
             loop = detector_in_loop(method, kind, told, told_satellites or satellites)
             watchers, name = {}, method
-        flown = fly(
-            kind,
-            size,
-            satellites,
-            loop,
-            watchers,
-            name=name,
-            scenario=scenario,
-            update=update,
-            runs=runs,
-            seed=seed,
-        )
+        flown = fly(kind, size, satellites, loop, watchers, name=name, **same)
         position = flown.pop("position")
         for key, summary in flown.items():
             found |= {f"{key}/{what}": value for what, value in summary.items()}

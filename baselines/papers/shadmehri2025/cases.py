@@ -51,6 +51,11 @@ def around(detected: float, mean: float, width: float) -> LatencyResult:
     return LatencyResult(detected, mean, width, spread_recorded=False)
 
 
+def _by_ramp(*found: tuple[float, ...]) -> dict[str, LatencyResult]:
+    """What was found at ramps of 2, 3 and 5 m/s: share detected, then mean and spread [s]."""
+    return {ramp: LatencyResult(*each) for ramp, each in zip("235", found, strict=True)}
+
+
 def _estimate_covariance(window: int) -> dict[str, Any]:
     return {"rule": "estimated", "covariance_window": window}
 
@@ -63,58 +68,30 @@ CONVENTIONAL = {
         "white 3.7/6 m, as the stated R",
         WHITE,
         {},
-        {
-            "2": LatencyResult(0.05, 3.7, 1.1),
-            "3": LatencyResult(0.52, 3.9, 0.75),
-            "5": LatencyResult(1.0, 2.5, 0.58),
-        },
+        _by_ramp((0.05, 3.7, 1.1), (0.52, 3.9, 0.75), (1.0, 2.5, 0.58)),
         {"window of 10": {"window": 10}},
     ),
     "conventional, correlated": Case(
         "correlated, stated R",
         MARKOV,
         {},
-        {"2": LatencyResult(0.0), "3": LatencyResult(0.0), "5": LatencyResult(1.0, 4.14, 0.13)},
+        _by_ramp((0.0,), (0.0,), (1.0, 4.14, 0.13)),
     ),
-    "conventional, R x 0.24": Case(
-        "correlated, R x 0.24 (fitted)",
-        MARKOV,
-        scale_noise(0.24),
-        {
-            "2": LatencyResult(0.0),
-            "3": LatencyResult(1.0, 3.48, 0.21),
-            "5": LatencyResult(1.0, 1.66, 0.07),
-        },
-    ),
-    "conventional, R x 0.26": Case(
-        "correlated, R x 0.26 (fitted)",
-        MARKOV,
-        scale_noise(0.26),
-        {
-            "2": LatencyResult(0.0),
-            "3": LatencyResult(1.0, 3.69, 0.23),
-            "5": LatencyResult(1.0, 1.74, 0.08),
-        },
-    ),
-    "conventional, R x 0.28": Case(
-        "correlated, R x 0.28 (fitted)",
-        MARKOV,
-        scale_noise(0.28),
-        {
-            "2": LatencyResult(0.0),
-            "3": LatencyResult(1.0, 3.94, 0.27),
-            "5": LatencyResult(1.0, 1.82, 0.07),
-        },
-    ),
+    **{
+        f"conventional, R x {factor}": Case(
+            f"correlated, R x {factor} (fitted)", MARKOV, scale_noise(factor), results
+        )
+        for factor, results in {
+            0.24: _by_ramp((0.0,), (1.0, 3.48, 0.21), (1.0, 1.66, 0.07)),
+            0.26: _by_ramp((0.0,), (1.0, 3.69, 0.23), (1.0, 1.74, 0.08)),
+            0.28: _by_ramp((0.0,), (1.0, 3.94, 0.27), (1.0, 1.82, 0.07)),
+        }.items()
+    },
     "conventional, white 1.6 m": Case(
         "white 1.6/3 m, R x 0.4 (fitted)",
         SMALL_WHITE,
         scale_noise(0.4),
-        {
-            "2": LatencyResult(0.05),
-            "3": LatencyResult(1.0, 3.46, 0.51),
-            "5": LatencyResult(1.0, 1.83, 0.22),
-        },
+        _by_ramp((0.05,), (1.0, 3.46, 0.51), (1.0, 1.83, 0.22)),
     ),
 }
 TUNED = {
@@ -122,51 +99,35 @@ TUNED = {
         "correlated, w = 20",
         MARKOV,
         make_self_tuning(20),
-        {
-            "2": LatencyResult(0.73, 0.24, 0.1),
-            "3": LatencyResult(0.95, 0.17, 0.07),
-            "5": LatencyResult(1.0, 0.11, 0.04),
-        },
+        _by_ramp((0.73, 0.24, 0.1), (0.95, 0.17, 0.07), (1.0, 0.11, 0.04)),
         {"with itself": {"masked": True}},
     ),
     "tuned, w = 30": Case(
         "correlated, w = 30",
         MARKOV,
         make_self_tuning(30),
-        {
-            "2": LatencyResult(0.74, 0.3, 0.28),
-            "3": LatencyResult(0.94, 0.2, 0.08),
-            "5": LatencyResult(0.99, 0.13, 0.05),
-        },
+        _by_ramp((0.74, 0.3, 0.28), (0.94, 0.2, 0.08), (0.99, 0.13, 0.05)),
         {"estimated": _estimate_covariance(30)},
     ),
     "tuned, w = 50": Case(
         "correlated, w = 50",
         MARKOV,
         make_self_tuning(50),
-        {
-            "2": LatencyResult(0.85, 0.37, 0.19),
-            "3": LatencyResult(0.97, 0.24, 0.11),
-            "5": LatencyResult(1.0, 0.15, 0.07),
-        },
+        _by_ramp((0.85, 0.37, 0.19), (0.97, 0.24, 0.11), (1.0, 0.15, 0.07)),
         {"with itself": {"masked": True}, **MEANS},
     ),
     "tuned, w = 100": Case(
         "correlated, w = 100",
         MARKOV,
         make_self_tuning(100),
-        {
-            "2": LatencyResult(0.98, 0.38, 0.17),
-            "3": LatencyResult(1.0, 0.24, 0.09),
-            "5": LatencyResult(1.0, 0.15, 0.06),
-        },
+        _by_ramp((0.98, 0.38, 0.17), (1.0, 0.24, 0.09), (1.0, 0.15, 0.06)),
         {"estimated": _estimate_covariance(100), **MEANS},
     ),
     "tuned, white": Case(
         "white 3.7/6 m, w = 100",
         WHITE,
         make_self_tuning(100),
-        {"2": LatencyResult(0.02), "3": LatencyResult(0.02), "5": LatencyResult(0.06)},
+        _by_ramp((0.02,), (0.02,), (0.06,)),
     ),
     "tuned, white 1.6 m": Case(
         "white 1.6/3 m, w = 100",
@@ -179,41 +140,32 @@ TUNED = {
         MARKOV,
         make_self_tuning(50, "clamped"),
         {
-            ramp: around(share, mean, width)._replace(share_recorded=False)
-            for ramp, share, mean, width in (
-                ("2", 0.85, 0.36, 0.19),
-                ("3", 0.97, 0.26, 0.11),
-                ("5", 1.0, 0.16, 0.07),
-            )
+            ramp: each._replace(spread_recorded=False, share_recorded=False)
+            for ramp, each in _by_ramp(
+                (0.85, 0.36, 0.19), (0.97, 0.26, 0.11), (1.0, 0.16, 0.07)
+            ).items()
         },
     ),
     "tuned, floor": Case(
         "correlated, w = 50, R no smaller than 0.83 m",
         MARKOV,
         make_self_tuning(50, floor_m=0.83),
-        {"2": LatencyResult(0.0), "3": LatencyResult(0.0), "5": LatencyResult(0.0)},
+        _by_ramp((0.0,), (0.0,), (0.0,)),
     ),
 }
 SMALL_R_FACTOR = 0.0021
 SMALL_R = {
-    "R of 0.17 m": Case(
-        "R of 0.17 m, fixed",
+    f"R of {sd} m": Case(
+        f"R of {sd} m, fixed",
         MARKOV,
-        scale_noise(SMALL_R_FACTOR),
-        {"2": around(1.0, 0.36, 0.1), "3": around(1.0, 0.25, 0.1), "5": around(1.0, 0.17, 0.1)},
-    ),
-    "R of 0.37 m": Case(
-        "R of 0.37 m, fixed",
-        MARKOV,
-        scale_noise(0.01),
-        {"2": around(1.0, 0.87, 0.1), "3": around(1.0, 0.56, 0.1), "5": around(1.0, 0.34, 0.1)},
-    ),
-    "R of 0.83 m": Case(
-        "R of 0.83 m, fixed",
-        MARKOV,
-        scale_noise(0.05),
-        {"2": around(1.0, 2.27, 0.25), "3": around(1.0, 1.3, 0.12), "5": around(1.0, 0.73, 0.1)},
-    ),
+        scale_noise(factor),
+        {ramp: around(1.0, *each) for ramp, each in zip("235", found, strict=True)},
+    )
+    for sd, factor, found in (
+        (0.17, SMALL_R_FACTOR, ((0.36, 0.1), (0.25, 0.1), (0.17, 0.1))),
+        (0.37, 0.01, ((0.87, 0.1), (0.56, 0.1), (0.34, 0.1))),
+        (0.83, 0.05, ((2.27, 0.25), (1.3, 0.12), (0.73, 0.1))),
+    )
 }
 CASES = CONVENTIONAL | TUNED | SMALL_R
 

@@ -12,8 +12,6 @@ from baselines.robot_data_sets import DATA_SETS, RobotDataSet
 from .measures import accuracy, latency, rates, recovery, retroactive
 from .runs import FILTERS, Recording, judge, ramp_offsets, record
 
-FloatArray = NDArray[np.float64]
-
 ATTACKED = ("jump", "slow", "both")
 RAMP_START_S = 150.0
 

@@ -108,16 +108,12 @@ def write_campaign_verdict(config: Mapping[str, Any], summary: Row) -> list[str]
             lines += [f"{row['detector']}: {_describe_reach(summary, row)}" for row in rows[:4]]
         marks: dict[str, list[str]] = {}
         for row in rows:
-            for mark in _split_marks(row["mark"]):
+            for mark in (each for each in row["mark"].split("; ") if each not in ("", "-")):
                 marks.setdefault(mark, []).append(row["detector"])
         lines += [f"{mark.capitalize()}: {', '.join(names)}." for mark, names in marks.items()]
     attack_s = config["timeline"]["attack_s"]
     sure = f"Attacks of {attack_s:g} s, {summary['runs']} runs each; in brackets 95 % intervals."
     return [*lines, f"{sure} Another attack may reach more."]
-
-
-def _split_marks(mark: str) -> list[str]:
-    return [each for each in mark.split("; ") if each not in ("", "-")]
 
 
 def _describe_reach(summary: Row, row: Row) -> str:
