@@ -396,13 +396,12 @@ def _join_axes(first: Floats, second: Floats) -> Floats:
 def _make_recording(
     measured: _Measured, samples: InertialSamples, start: float, rows: NDArray[np.intp]
 ) -> Recording:
-    """Epochs after the start, with samples that are split at them."""
+    """Epochs after the start, and the samples during them."""
     epochs = np.round(measured.time[rows] - start, 6)
     ends = np.round(samples.time - start, 6)
-    imu_time = np.union1d(ends[(ends > 0.0) & (ends <= epochs[-1])], epochs)
-    during = np.searchsorted(ends, imu_time)
+    during = slice(np.searchsorted(ends, 0.0, "right"), np.searchsorted(ends, epochs[-1]) + 1)
     return Recording(
-        imu_time=imu_time,
+        imu_time=ends[during],
         specific_force_b=samples.specific_force_b[during],
         angular_rate_b=samples.angular_rate_b[during],
         gnss_time=epochs,
