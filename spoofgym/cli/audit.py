@@ -237,15 +237,17 @@ def audit_detectors(texts: list[str], options: AuditOptions) -> Audited:
         for name, value in {"task": options.task, "seed": options.seed, **sizes}.items():
             given = f"--{name.replace('_', '-')}"
             require(value is None, f"{given} does not go with --log, whose windows are the runs")
-        auditors = [LogAuditor(options.log, options.size, **settings, **options.of_log)]
+        settings |= options.of_log
+        auditors = [LogAuditor(options.log, options.size, **settings)]
     for auditor in auditors:
-        own = []
+        own, stores = [], []
         for spec in specs:
             cells = auditor.prepare(spec, progress, partial(typer.echo, err=True))
             if (results := options.finish(cells, auditor.folder)) is not None:
                 own.append(cells.conclude(results))
+                stores.append(results.store)
         if own:
-            scores, store = {"detectors": [each.as_dict() for each in own]}, results.store
+            scores, store = {"detectors": [each.as_dict() for each in own]}, stores[-1]
             written.append(write_page(store, build_scores_page(store, scores))[-1])
         found += own
     return [each.as_dict() for each in found], [*map(format_screen, found)], written

@@ -339,6 +339,8 @@ class AuditCells(Experiment):
 
 def write_attacks(folder: Path | None, found: Audit) -> None:
     """Write the worst attacks beside the results, to play wherever a spoofer is named."""
-    for name, spec in found.attacks.items() if folder is not None else ():
+    if folder is None:
+        return
+    for name, spec in found.attacks.items():
         path = folder / "attacks" / f"{slug(found.score.detector)}-{name}.json"
         write_file(path, (json.dumps(spec) + "\n").encode())

@@ -185,7 +185,7 @@ def attack_log(
         lengths = replay.epochs * replay.interval_s, replay.live * replay.interval_s
         bound = replay.bound_zero_alarm()
         head = label, factor, rate, *runs, *lengths
-        played = [_play_named(backend, spec) for spec in spoofers]
+        played = [_play_named(backend, replay, spec) for spec in spoofers]
         found.append(LogAttack(*head, tuple(families), bound, tuple(played)))
     return found
 
@@ -202,7 +202,8 @@ def play_spoofer(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """(R,) undetected displacement by a spoofer that observes nothing [m], and whether each of the
     windows `rows` (R,) alarms."""
-    spoofer, context, rates = make_spoofer(spec), make_context(replay), []
+    spoofer, context = make_spoofer(spec), make_context(replay)
+    rates = list[float]()
     label, most = label_spec(spec), context.rate_limit_mps
     require(spoofer.knowledge == "blind", f"{label} observes its victim, and a log does not answer")
     spoofer.bind(context)
@@ -211,15 +212,14 @@ def play_spoofer(
     for _ in range(replay.steps):
         spoofer.act(np.zeros((1, 0), dtype=np.float32))
         rates.append(getattr(spoofer, "amplitude", 1.0) * float(spoofer.memory["rate"][0]))
-    rates = np.clip(rates, -most, most)
-    found = replay.play(0, rates[None], rows=rows)
+    found = replay.play(0, np.clip(rates, -most, most)[None], rows=rows)
     error, alarm = found.error[: replay.attack_epochs, 0], found.first_alarm[0]
     hold = replay.epochs - replay.attack_epochs
     return undetected_displacement(error, alarm, hold), alarm > 0
 
 
-def _play_named(backend: ReplayBackend, spec: Any) -> PlayedSpoofer:
-    moved, alarmed = play_spoofer(backend.replay, spec, backend.rows)
+def _play_named(backend: ReplayBackend, replay: LogReplay, spec: Any) -> PlayedSpoofer:
+    moved, alarmed = play_spoofer(replay, spec, backend.rows)
     own = bounded_mean(alarmed, backend.rows, 0.0)
     mean = bootstrap_mean(moved, draw_resamples(backend.rows))
     return PlayedSpoofer(Path(label_spec(spec)).stem, own, mean)
