@@ -63,6 +63,22 @@ class AuditOptions:
             "plays in place of a task; thresholds are those of its own windows."
         ),
     ] = None
+    false_alarms_per_hour: Annotated[
+        float | None,
+        Option(help="With --log: rate of the thresholds. Default: what a detector requests."),
+    ] = None
+    alert_limit_m: Annotated[
+        float | None,
+        Option(help="With --log: error that must not be exceeded unnoticed, in m. Default: 30."),
+    ] = None
+    attack_s: Annotated[
+        float | None,
+        Option(help="With --log: length of an attack, in seconds. Default: 150."),
+    ] = None
+    time_to_alert_s: Annotated[
+        float | None,
+        Option(help="With --log: time after it in which an alarm counts, in s. Default: 10."),
+    ] = None
     out: Annotated[Path, Option(help="Folder of finished parts and of the worst attacks.")] = Path(
         "results/audit"
     )
@@ -81,6 +97,12 @@ class AuditOptions:
     @property
     def size(self) -> str:
         return self.budget or "standard"
+
+    @property
+    def of_log(self) -> dict[str, float]:
+        """Options that go with a log alone, those that are there."""
+        names = "false_alarms_per_hour", "alert_limit_m", "attack_s", "time_to_alert_s"
+        return {x: getattr(self, x) for x in names if getattr(self, x) is not None}
 
     @property
     def tasks(self) -> list[str]:
@@ -102,7 +124,8 @@ Audited = tuple[list[dict[str, Any]], list[list[str]], list[Path]]
 @with_options
 def audit_(
     detector: Annotated[
-        str | None, Argument(help=f"Detector; an .onnx file, too. {opt.SPEC_HELP}")
+        list[str] | None,
+        Argument(help=f"Detectors, one or more; an .onnx file, too. {opt.SPEC_HELP}"),
     ] = None,
     *,
     spoofer: Annotated[
@@ -134,17 +157,24 @@ def audit_(
     """
     from ..bench.report.audit import print_audits
 
-    if [detector, spoofer, check].count(None) != 2:
+    if [detector or None, spoofer, check].count(None) != 2:
         raise ValueError("an audit is of a DETECTOR, a --spoofer or an entry, by --check: give one")
     if check is not None:
         check_entry(check, options, as_json)
         return
-    audit = audit_spoofer if detector is None else audit_detector
-    records, screens, written = audit(str(spoofer if detector is None else detector), options)
+    if detector:
+        records, screens, written = audit_detectors(detector, options)
+    else:
+        records, screens, written = audit_spoofer(str(spoofer), options)
     if as_json and records:
         print_json(records)
     elif records:
         print_audits(screens, written, [each["answer"] for each in records])
+
+
+def check_log_options(options: AuditOptions) -> None:
+    for name in () if options.log else options.of_log:
+        raise ValueError(f"--{name.replace('_', '-')} goes with --log; a task has its own")
 
 
 def check_entry(folder: Path, options: AuditOptions, as_json: bool) -> None:
@@ -160,8 +190,12 @@ def check_entry(folder: Path, options: AuditOptions, as_json: bool) -> None:
     out, budget = options.out.resolve() / entry.name, options.budget or "quick"
     options = replace(options, task=[entry.task], out=out, budget=budget)
     with contextlib.chdir(folder):
-        audit = audit_detector if entry.side == "detector" else audit_spoofer
-        (record,), _, written = audit(entry.player, options)
+        audited = (
+            audit_detectors([entry.player], options)
+            if entry.side == "detector"
+            else audit_spoofer(entry.player, options)
+        )
+        (record,), _, written = audited
     figures = list(compare_figures(entry.figures, record))
     false = [each.name for each in figures if not each.holds]
     answer = f"{entry.name} by {entry.who}: all {len(figures)} figures hold"
@@ -182,34 +216,40 @@ def check_entry(folder: Path, options: AuditOptions, as_json: bool) -> None:
     raise typer.Exit(bool(false))
 
 
-def audit_detector(text: str, options: AuditOptions) -> Audited:
-    """Audit a detector by task."""
+def audit_detectors(texts: list[str], options: AuditOptions) -> Audited:
+    """Audit detectors by task."""
     from ..bench.experiments.audit import Auditor
     from ..bench.experiments.log_audit import LogAuditor
     from ..bench.report.audit import format_screen
     from ..bench.report.detector_page import build_scores_page
     from ..bench.report.page import write_page
 
-    (spec,), found, written = opt.parse_specs([text]), [], []
+    specs, found, written = opt.parse_specs(texts), [], []
     sizes: Any = {"runs": options.runs, "selection_runs": options.selection_runs}
     settings: Any = {"families": options.family or None, "threads": options.threads}
     settings["folder"] = options.out
     auditors: list[Any]
+    check_log_options(options)
     if options.log is None:
         sizes["entropy"] = options.seed
         auditors = [Auditor(key, options.size, **sizes, **settings) for key in options.tasks]
     else:
-        for name, value in {"task": options.task, **sizes}.items():
+        for name, value in {"task": options.task, "seed": options.seed, **sizes}.items():
             given = f"--{name.replace('_', '-')}"
-            require(not value, f"{given} does not go with --log, whose windows are the runs")
+            require(value is None, f"{given} does not go with --log, whose windows are the runs")
+        settings |= options.of_log
         auditors = [LogAuditor(options.log, options.size, **settings)]
     for auditor in auditors:
-        cells = auditor.prepare(spec, progress, partial(typer.echo, err=True))
-        if (results := options.finish(cells, auditor.folder)) is None:
-            continue
-        found.append(cells.conclude(results))
-        scores = {"detectors": [found[-1].as_dict()]}
-        written.append(write_page(results.store, build_scores_page(results.store, scores))[-1])
+        own, stores = [], []
+        for spec in specs:
+            cells = auditor.prepare(spec, progress, partial(typer.echo, err=True))
+            if (results := options.finish(cells, auditor.folder)) is not None:
+                own.append(cells.conclude(results))
+                stores.append(results.store)
+        if own:
+            scores, store = {"detectors": [each.as_dict() for each in own]}, stores[-1]
+            written.append(write_page(store, build_scores_page(store, scores))[-1])
+        found += own
     return [each.as_dict() for each in found], [*map(format_screen, found)], written
 
 
@@ -230,6 +270,7 @@ def audit_spoofer(text: str, options: AuditOptions) -> Audited:
     from ..core.registry import slug
     from ..tasks import get_detector_task
 
+    check_log_options(options)
     if options.family or options.selection_runs or options.log:
         raise ValueError("--family, --selection-runs and --log are options of a detector's audit")
     size, (spec,), found, written = (

@@ -141,6 +141,13 @@ def attack_(
         float, Option(help="Where the false position goes, clockwise from north.")
     ] = 90.0,
     rate_limit_mps: Annotated[float, Option(help="Largest rate of the false position.")] = 5.0,
+    spoofer: Annotated[
+        list[str] | None,
+        Option(
+            help="Spoofer that plays as it is in place of the families, may be repeated; a .json "
+            f"file, such as an audit writes, too. {opt.SPEC_HELP}"
+        ),
+    ] = None,
     out: Annotated[Path | None, Option("--out", "-o", help="Picture, .png, .svg or .pdf.")] = None,
     threads: opt.Threads = None,
     as_json: opt.Json = False,
@@ -152,15 +159,23 @@ def attack_(
     where half of the windows alarm.
     """
     from ..bench.report.figures import Dot, DotRow, dots_height, draw_dots, save_drawing
-    from ..bench.report.table import Table, interval
+    from ..bench.report.table import Table, interval, percent
     from ..bench.search.log_attack import MOVED, attack_log
     from ..core.plots import check_picture
     from ..receiver.log import InnovationLog
 
     picture = None if out is None else check_picture(out)
-    settings: Any = {name: value for name, value in locals().items() if name in _ATTACK}
+    require(not (picture and spoofer), "--out draws families of attacks: leave out --spoofer")
     found = attack_log(
-        InnovationLog.load(log), opt.parse_specs(detector), false_alarms_per_hour, **settings
+        InnovationLog.load(log),
+        opt.parse_specs(detector),
+        false_alarms_per_hour,
+        attack_s=attack_s,
+        time_to_alert_s=time_to_alert_s,
+        heading_deg=heading_deg,
+        rate_limit_mps=rate_limit_mps,
+        spoofers=opt.parse_specs(spoofer or ()),
+        threads=threads,
     )
     results = [{**x.as_json(), "detector": t} for t, x in zip(detector, found, strict=True)]
     rows = [{**each, "detector": x["detector"]} for x in results for each in x["families"]]
@@ -183,6 +198,15 @@ def attack_(
                 f"factor on the threshold {each['factor']:.3g}"
             ]
         )
+    if spoofer:
+        played = [{**each, "detector": x["detector"]} for x in results for each in x["played"]]
+        Table(
+            ("detector", "detector"),
+            ("attack", "spoofer"),
+            ("windows that alarm [%]", lambda r: percent(r["alarm_rate"])),
+            ("unseen displacement [m]", lambda r: interval(r[MOVED])),
+        ).print("what spoofers reach", played)
+        return
     Table(
         ("detector", "detector"),
         ("attack", "family"),
@@ -193,9 +217,6 @@ def attack_(
     bounds = ((each["detector"], each["zero_alarm"]) for each in results)
     print_lines(f"{name}: no attack without an alarm exceeds {_say(x)}" for name, x in bounds)
     print_written([] if picture is None else [picture])
-
-
-_ATTACK = ("attack_s", "time_to_alert_s", "heading_deg", "rate_limit_mps", "threads")
 
 
 def _mark_end(row: dict[str, Any]) -> str:

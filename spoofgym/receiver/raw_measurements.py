@@ -9,6 +9,7 @@ and with the heading of its velocity.  The ionosphere stays in.
 
 from __future__ import annotations
 
+import math
 import os
 import warnings
 from collections.abc import Sequence
@@ -45,6 +46,7 @@ from .tight import NavState, NoiseModel, TightlyCoupled
 Floats = NDArray[np.float64]
 ODD_M, ODD_RATIO = 500.0, 5.0
 """Residuals of fixes that are no noise, and how much they shrink without an odd satellite."""
+TURN_S, TURN_RAD = 2.0, 0.1  # of what turns are compared over, and how large they must be
 MOVING_MPS = 1.0  # horizontal speed whose direction is a heading
 LEVELLING_S = 1.0  # time before and after the start from which the first attitude follows
 FEWEST = 20  # epochs of a piece
@@ -105,6 +107,7 @@ def solve_raw(
     if samples is None:
         samples, grade = _rest(measured), "aviation"
     receiver, lines = TightlyCoupled(grade=grade), measured.lines
+    lines += [] if still else _compare_turns(measured, samples)
     logs, solutions = list[InnovationLog](), Solutions()
     for number, rows in enumerate(_cut_pieces(measured, samples), 1):
         try:
@@ -386,6 +389,32 @@ def _find_start(
     )
 
 
+def _compare_turns(measured: _Measured, samples: InertialSamples) -> list[str]:
+    """Line about turns of the sensor that are not those of the velocity, with their cause."""
+    rows = np.flatnonzero(np.isfinite(measured.fixes[:, 0]))
+    latitude, longitude, _ = ecef_to_geodetic(measured.fixes[rows, :3])
+    local = np.einsum("kji,kj->ki", dcm_e_from_n(latitude, longitude), measured.fixes[rows, 3:6])
+    heading, time = np.unwrap(np.arctan2(local[:, 1], local[:, 0])), measured.time[rows]
+    felt = samples.specific_force_b.mean(axis=0)
+    rate = samples.angular_rate_b @ (-felt / np.linalg.norm(felt))  # about what is down
+    angle = np.cumsum(rate * np.diff(samples.time, prepend=samples.time[0]))
+    after = np.minimum(np.searchsorted(time, time + TURN_S), len(time) - 1)
+    still = np.cumsum(np.hypot(local[:, 0], local[:, 1]) < MOVING_MPS)
+    apart = np.abs(time[after] - time - TURN_S) > 0.5 * TURN_S
+    good = ~apart & (still[after] == still) & (time >= samples.time[0]) & (time <= samples.time[-1])
+    turned = (heading[after] - heading)[good]
+    sensed = (lambda x: x[after] - x)(np.interp(time, samples.time, angle))[good]
+    if good.sum() < FEWEST or np.sqrt(np.mean(turned**2)) < TURN_RAD or not sensed.any():
+        return []
+    alike = float(turned @ sensed / np.sqrt((turned @ turned) * (sensed @ sensed)))
+    ratio = float(np.sqrt((sensed @ sensed) / (turned @ turned)))
+    cause = "is an axis turned round, or are the axes left-handed" if alike < -0.5 else ""
+    if abs(alike) > 0.5 and not 0.1 < ratio < 10.0:
+        cause = "is the unit of the axis that points down right (deg/s for rad/s)"
+    found = f"the sensor turns by {math.copysign(ratio, alike):.3g} times what the velocity does"
+    return [f"{found}: {cause}?"] if cause else []
+
+
 def _join_axes(first: Floats, second: Floats) -> Floats:
     """(3, 3) axes as columns: along `first`, and `second` in the plane of the first two."""
     x, z = first, np.cross(first, second)
@@ -396,13 +425,12 @@ def _join_axes(first: Floats, second: Floats) -> Floats:
 def _make_recording(
     measured: _Measured, samples: InertialSamples, start: float, rows: NDArray[np.intp]
 ) -> Recording:
-    """Epochs after the start, with samples that are split at them."""
+    """Epochs after the start, and the samples during them."""
     epochs = np.round(measured.time[rows] - start, 6)
     ends = np.round(samples.time - start, 6)
-    imu_time = np.union1d(ends[(ends > 0.0) & (ends <= epochs[-1])], epochs)
-    during = np.searchsorted(ends, imu_time)
+    during = slice(np.searchsorted(ends, 0.0, "right"), np.searchsorted(ends, epochs[-1]) + 1)
     return Recording(
-        imu_time=imu_time,
+        imu_time=ends[during],
         specific_force_b=samples.specific_force_b[during],
         angular_rate_b=samples.angular_rate_b[during],
         gnss_time=epochs,

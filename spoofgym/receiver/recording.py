@@ -22,6 +22,9 @@ _SHAPES = {
 }
 LONGEST_SAMPLE_S = 0.5
 """Of an inertial sensor; over a longer time the receiver's movement is unknown."""
+SAME_TIME_S = 1e-6
+"""By which an epoch may be off the end of its sample, as times of files are."""
+IN_SAMPLES = "specific_force_b", "angular_rate_b"
 MAY_BE_NAN = ("pseudorange", "range_rate", "satellite_position_e", "satellite_velocity_e")
 
 
@@ -36,7 +39,8 @@ class Recording:
     specific_force_b, angular_rate_b : array_like
         (N, 3) measured, body axes [m/s^2], [rad/s].
     gnss_time : array_like
-        (K,) epochs [s], after 0, each within half a sample of the end of a sample.
+        (K,) epochs [s], after 0, at most half a sample after the last one.  A sample in which one
+        lies is split there: both parts have its values, and the record has one sample more.
     pseudorange, range_rate : array_like
         (K, n) [m], [m/s]; NaN in either where a channel has no measurement.  The rate is that at
         which the pseudorange grows, positive where the satellite moves away: minus the Doppler
@@ -51,8 +55,7 @@ class Recording:
     ------
     ValueError
         When shapes disagree, a time runs backwards, a sample is not finite, lasts longer than
-        `LONGEST_SAMPLE_S` or turns by more than a radian, or an epoch has no sample that ends
-        with it.
+        `LONGEST_SAMPLE_S` or turns by more than a radian, or an epoch is after the samples.
     """
 
     imu_time: ArrayLike
@@ -116,7 +119,21 @@ class Recording:
                 f"{np.asarray(self.imu_time)[k]} s; at most {LARGEST_ROTATION:g} rad "
                 "(are the rates in rad/s?)"
             )
+        self._split_samples()
         self.epoch_samples()
+
+    def _split_samples(self) -> None:
+        """End a sample wherever an epoch lies in one."""
+        ends, epochs = np.asarray(self.imu_time), np.asarray(self.gnss_time)
+        near = np.abs(ends[np.searchsorted(0.5 * (ends[1:] + ends[:-1]), epochs)] - epochs)
+        split = np.union1d(ends, epochs[(epochs < ends[-1]) & (near > SAME_TIME_S)])
+        during = np.searchsorted(ends, split)
+        for name, array in (
+            ("imu_time", split),
+            *((x, np.asarray(getattr(self, x))[during]) for x in IN_SAMPLES),
+        ):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
 
     def epoch_samples(self) -> NDArray[np.int64]:
         """Match the epochs to the samples. Returns (K,) number of samples up to and including the

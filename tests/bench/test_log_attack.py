@@ -173,6 +173,28 @@ def test_an_audit_of_a_log_has_screen_and_report_of_the_others(own, tmp_path):
         auditor.prepare({**detector, "false_alarms_per_hour": 0.2})
 
 
+def test_an_audit_takes_its_options_and_writes_attacks_that_play_again(own, tmp_path):
+    rate, length = ["--false-alarms-per-hour", "20"], ["--attack-s", "40"]
+    options = [*rate, *length, "--alert-limit-m", "5", "--family", "ramps", "--budget", "quick"]
+    both = "audit", "snapshot-chi2", "ewma", "--log", str(own[0]), *options
+    text = call(*both, "--out", str(tmp_path), "--json").output
+    found = json.loads(text[text.index("[\n") :] if not text.startswith("[") else text)
+    assert [each["detector"] for each in found] == ["snapshot-chi2", "ewma"]
+    assert {(each["alert_limit_m"], each["requested_per_hour"]) for each in found} == {(5.0, 20.0)}
+    files = sorted((tmp_path / "own" / "attacks").glob("*-worst.json"))
+    assert [path.name for path in files] == ["ewma-worst.json", "snapshot-chi2-worst.json"]
+    again = [*rate, *length, "--spoofer", str(files[1]), "--spoofer", "ramp:rate_mps=0.01"]
+    shown = call("log", "attack", str(own[0]), "--detector", "snapshot-chi2", *again, "--json")
+    worst, slow = json.loads(shown.output)[0]["played"]
+    assert worst["spoofer"] == "snapshot-chi2-worst"
+    assert worst[MOVED]["value"] > 5.0
+    assert slow["alarm_rate"]["value"] == 0.0
+    assert slow[MOVED]["value"] < 1.0
+    one = "log", "attack", str(own[0]), "--detector", "cusum", *length, "--spoofer"
+    assert "observes its victim" in refused(*one, "feedback")
+    assert "goes with --log" in refused("audit", "ewma", *rate)
+
+
 def test_what_is_no_log_to_attack_is_refused_with_what_is_missing(own, tmp_path):
     log = InnovationLog.load(own[0])
     table = InnovationLog.load(log.save(tmp_path / "own.csv"))

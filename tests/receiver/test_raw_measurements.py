@@ -11,7 +11,12 @@ from spoofgym.data.inertial import read_inertial
 from spoofgym.data.observations import read_observations
 from spoofgym.data.rinex import read_navigation
 from spoofgym.earth.wgs84 import dcm_e_from_n, geodetic_to_ecef
-from spoofgym.receiver.raw_measurements import compute_saastamoinen, solve_raw
+from spoofgym.receiver.raw_measurements import (
+    _compare_turns,
+    _Measured,
+    compute_saastamoinen,
+    solve_raw,
+)
 
 from ..command_line import call, refused
 from ..data.files import write_orbits
@@ -188,3 +193,15 @@ def test_a_counterfeit_is_seen_in_what_was_found(data_folder):
     for _, solution in solutions:
         assert np.linalg.norm(solution.position_e[-1] - true) < 150.0
     assert [len(x.time) for _, x in solutions] == [283, 297, 299, 173]
+
+
+def test_turns_that_are_not_those_of_the_velocity_are_named(drive, files):
+    write_observations(files / "turns.24o", drive, 3)
+    seen = read_observations(files / "turns.24o")
+    measured = _Measured(seen, read_navigation(files / "brdc.24n", "GEC"))
+    samples = read_inertial(files / "imu.csv", files / "imu.toml", seen.time[0])
+    assert _compare_turns(measured, samples) == []
+    for factor, cause in ((-1.0, "axis turned round"), (57.3, "deg/s for rad/s")):
+        rate = samples.angular_rate_b * [1.0, 1.0, factor]
+        (line,) = _compare_turns(measured, samples._replace(angular_rate_b=rate))
+        assert cause in line

@@ -319,10 +319,7 @@ class AuditCells(Experiment):
             reference=self._find_reference(),
             cost_us=self.of.worlds.measure_cost(first.judge, size.ages)[0],
         )
-        if self.of.folder is not None:
-            for name, spec in found.attacks.items():
-                path = self.of.folder / "attacks" / f"{slug(first.player.label)}-{name}.json"
-                write_file(path, (json.dumps(spec) + "\n").encode())
+        write_attacks(self.of.folder, found)
         return found
 
     def _find_reference(self) -> dict[str, Any] | None:
@@ -338,3 +335,12 @@ class AuditCells(Experiment):
         else:
             return None
         return {"detector": best, "by": by, "exceeded_m": exceeded}
+
+
+def write_attacks(folder: Path | None, found: Audit) -> None:
+    """Write the worst attacks beside the results, to play wherever a spoofer is named."""
+    if folder is None:
+        return
+    for name, spec in found.attacks.items():
+        path = folder / "attacks" / f"{slug(found.score.detector)}-{name}.json"
+        write_file(path, (json.dumps(spec) + "\n").encode())

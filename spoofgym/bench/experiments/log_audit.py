@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...calibration.log import judge_log
+from ...core.declared import check_number
 from ...core.progress import ProgressBar
 from ...core.registry import check_choice, slug
 from ...core.settings import compute_digest, describe
@@ -26,7 +27,6 @@ from ...detectors.calibrated import find_requested_rate
 from ...detectors.isolated import isolate
 from ...limits.log_replay import FEWEST_WINDOWS, RATE_LIMIT_MPS, LogReplay
 from ...receiver.log import InnovationLog
-from ...spoofers import SpooferContext, make_spoofer
 from ...tasks import AttackFamily, get_detector_task
 from ..runs.panel import PanelAttack, play_searches
 from ..runs.players import add_tuned_setting, specify_detector, specify_spoofer
@@ -42,7 +42,9 @@ from ..search.attack_suite import (
     play_winners,
 )
 from ..search.backends import ReplayBackend
+from ..search.log_attack import make_context, play_spoofer
 from ..search.open_loop import search_aims
+from .audit_cells import write_attacks
 from .audit_sizes import AGAIN, AGES, AGES_S, ALIKE, BUDGETS, FALSE_ALARMS, RAMPS, SEARCHED
 from .runner import Context, Experiment
 from .store import Cell, Reader, Result
@@ -64,32 +66,14 @@ class LogPanel:
         quiet = replay.play(0, np.zeros((1, replay.steps)), rows=rows)
         self.twin_alarm, self.warmup_alarm = quiet.first_alarm[0], replay.warmup_alarm[0, rows]
         self.counts = mask_valid_runs(self.warmup_alarm, self.twin_alarm)[:, None]
-        limit = replay.limits[0]
-        names = ("north_rate", "east_rate")
-        times = replay.interval_s, replay.steps, "rate", limit / replay.interval_s, limit
-        self.context = SpooferContext(1, *times, names)
-
-    def plan_rates(self, spec: Any) -> NDArray[np.float64]:
-        """(steps,) rates of a spoofer that observes nothing [m/s]."""
-        spoofer = make_spoofer(spec)
-        spoofer.bind(self.context)
-        spoofer.reset()
-        rates = []
-        for _ in range(self.replay.steps):
-            spoofer.act(np.zeros((1, 0), dtype=np.float32))
-            rates.append(float(spoofer.memory["rate"][0]))
-        return np.array(rates)
+        self.context = make_context(replay)
 
     def play(self, attacks: Sequence[tuple[PanelAttack, int]], **_: Any) -> list[Any]:
         """(R',) undetected displacement under each attack [m]."""
-        replay, moved = self.replay, []
-        for attack, _number in attacks:
-            rates, rows = self.plan_rates(attack.spec)[None], self.rows[: attack.runs]
-            found = replay.play(0, rates, rows=rows)
-            error = found.error[: replay.attack_epochs, 0]
-            hold = replay.epochs - replay.attack_epochs
-            moved.append(undetected_displacement(error, found.first_alarm[0], hold))
-        return moved
+        return [
+            play_spoofer(self.replay, attack.spec, self.rows[: attack.runs])[0]
+            for attack, _number in attacks
+        ]
 
 
 class LogAttacks(FamilyAttacks):
@@ -102,7 +86,8 @@ class LogAttacks(FamilyAttacks):
 class LogAuditor:
     """Audits detectors on a log, a file or an `InnovationLog`; its arguments are those of `audit`.
 
-    `alert_limit_m`: error that must not be exceeded unnoticed; `times`: of `LogReplay`.
+    `alert_limit_m`: error that must not be exceeded unnoticed; `false_alarms_per_hour`: in place of
+    what a detector requests; `times`: of `LogReplay`.
     """
 
     def __init__(
@@ -112,6 +97,7 @@ class LogAuditor:
         *,
         families: Sequence[str] | None = None,
         alert_limit_m: float = ALERT_LIMIT_M,
+        false_alarms_per_hour: float | None = None,
         threads: int | None = None,
         folder: str | os.PathLike[str] | None = None,
         **times: float,
@@ -120,7 +106,9 @@ class LogAuditor:
         name = "log" if isinstance(log, InnovationLog) else Path(log).stem
         self.log = log if isinstance(log, InnovationLog) else InnovationLog.load(Path(log))
         self.key, self.budget, self.threads = slug(name), budget, threads
+        check_number("alert_limit_m", alert_limit_m, above=0.0)
         self.alert_limit_m, self.times = alert_limit_m, {**TIMES, **times}
+        self.requested_per_hour = false_alarms_per_hour
         task = get_detector_task("D1")
         for each in families or ():
             check_choice("family of attacks on a log", each, FAMILIES)
@@ -135,7 +123,7 @@ class LogAuditor:
     ) -> LogAudit:
         """Cells of a detector, with thresholds of the log's own windows."""
         spec = isolate(detector) if isinstance(detector, str | Mapping) else detector
-        rate = find_requested_rate(detector_in_world(spec))
+        rate = self.requested_per_hour or find_requested_rate(detector_in_world(spec))
         factor = 1.0
         if rate is not None:
             window_s = self.times["attack_s"] + self.times["time_to_alert_s"]
@@ -283,7 +271,7 @@ class LogAudit(Experiment):
             window_s=every.replay.epochs * every.replay.interval_s,
         )
         title = f"{every.runs} windows of {score.window_s:g} s of a log, alert limit {limit:g} m"
-        return Audit(
+        audit = Audit(
             score=score,
             title=title,
             budget=self.of.budget,
@@ -293,3 +281,5 @@ class LogAudit(Experiment):
             reference=None,
             cost_us=every.replay.cost_us,
         )
+        write_attacks(self.of.folder, audit)
+        return audit

@@ -6,18 +6,28 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...calibration.log import judge_log, label_spec
 from ...core.registry import require
 from ...limits.bounds import ZeroAlarm
 from ...limits.log_replay import FEWEST_WINDOWS, RATE_LIMIT_MPS, LogReplay
 from ...receiver.log import InnovationLog
-from ..runs.record import MEASURES
+from ...spoofers import SpooferContext, make_spoofer
+from ..runs.record import MEASURES, undetected_displacement
 from ..scores.at_budget import AtBudget, score_at_budget
-from ..scores.statistics import BUDGET, LEVEL
+from ..scores.statistics import (
+    BUDGET,
+    LEVEL,
+    Estimate,
+    bootstrap_mean,
+    bounded_mean,
+    draw_resamples,
+)
 from .alarm_amplitude import ReplayRuns, trace_alarms
 from .amplitude import Tuning
 from .backends import ReplayBackend
@@ -55,6 +65,19 @@ class FamilyReach(NamedTuple):
         return {**named, "rates_mps": list(self.rates_mps), **self.score.as_json()}
 
 
+class PlayedSpoofer(NamedTuple):
+    """A spoofer at its own size: share of the windows that alarm, and the mean displacement until
+    they do, with intervals over windows [m]."""
+
+    spoofer: str
+    alarm_rate: Estimate
+    displacement: Estimate
+
+    def as_json(self) -> dict[str, Any]:
+        parts = {"alarm_rate": self.alarm_rate.as_json(), MOVED: self.displacement.as_json()}
+        return {"spoofer": self.spoofer, **parts}
+
+
 class LogAttack(NamedTuple):
     """What attacks reach against a detector on a log.
 
@@ -62,7 +85,8 @@ class LogAttack(NamedTuple):
     - `windows` that are attacked, of `window_s`, each after `live_s`; `clean_alarms` of them alarm
       without an attack, or before it, and do not count;
     - `families`, each at the alarm budget that so many windows support and where half of them
-      alarm; `zero_alarm`: what no attack exceeds in the mean without an alarm.
+      alarm; `zero_alarm`: what no attack exceeds in the mean without an alarm;
+    - `played`: spoofers that were named, in place of the families.
     """
 
     detector: str
@@ -74,10 +98,11 @@ class LogAttack(NamedTuple):
     live_s: float
     families: tuple[FamilyReach, ...]
     zero_alarm: ZeroAlarm
+    played: tuple[PlayedSpoofer, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """All of it, JSON-able."""
-        parts = {"families": [each.as_json() for each in self.families]}
+        parts = {x: [each.as_json() for each in getattr(self, x)] for x in ("families", "played")}
         return {**self._asdict(), **parts, "zero_alarm": self.zero_alarm.as_json()}
 
 
@@ -91,6 +116,7 @@ def attack_log(
     heading_deg: float = 90.0,
     rate_limit_mps: float = RATE_LIMIT_MPS,
     search: OpenLoopSearch | None = None,
+    spoofers: Sequence[Any] = (),
     threads: int | None = None,
 ) -> list[LogAttack]:
     """Say what attacks reach unseen on a log's noise, by the linear response of its filter.
@@ -112,6 +138,9 @@ def attack_log(
         Largest rate of the false position [m/s].
     search : OpenLoopSearch, optional
         Of the optimized open-loop attack, on every second window; it is scored on the others.
+    spoofers : sequence
+        What plays as it is in place of the families, as `make_spoofer` takes it: those that observe
+        nothing.
     threads : int, optional
         That judge attacks.
 
@@ -144,7 +173,7 @@ def attack_log(
         budget = max(BUDGET, -math.expm1(math.log(LEVEL) / backend.runs))
         families = [
             score
-            for share in (budget, 0.5)
+            for share in (budget, 0.5) * (not spoofers)
             for score in (
                 _score_plain(backend, PLAIN[0], share),
                 _score_step(backend, replay, share),
@@ -156,8 +185,44 @@ def attack_log(
         lengths = replay.epochs * replay.interval_s, replay.live * replay.interval_s
         bound = replay.bound_zero_alarm()
         head = label, factor, rate, *runs, *lengths
-        found.append(LogAttack(*head, tuple(families), bound))
+        played = [_play_named(backend, replay, spec) for spec in spoofers]
+        found.append(LogAttack(*head, tuple(families), bound, tuple(played)))
     return found
+
+
+def make_context(replay: LogReplay) -> SpooferContext:
+    """What a spoofer knows of the windows of a log."""
+    limit, names = replay.limits[0], ("north_rate", "east_rate")
+    times = replay.interval_s, replay.steps, "rate", limit / replay.interval_s, limit
+    return SpooferContext(1, *times, names)
+
+
+def play_spoofer(
+    replay: LogReplay, spec: Any, rows: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """(R,) undetected displacement by a spoofer that observes nothing [m], and whether each of the
+    windows `rows` (R,) alarms."""
+    spoofer, context = make_spoofer(spec), make_context(replay)
+    rates = list[float]()
+    label, most = label_spec(spec), context.rate_limit_mps
+    require(spoofer.knowledge == "blind", f"{label} observes its victim, and a log does not answer")
+    spoofer.bind(context)
+    spoofer.reset()
+    require("rate" in spoofer.memory.declared, f"{label} moves no false position along a line")
+    for _ in range(replay.steps):
+        spoofer.act(np.zeros((1, 0), dtype=np.float32))
+        rates.append(getattr(spoofer, "amplitude", 1.0) * float(spoofer.memory["rate"][0]))
+    found = replay.play(0, np.clip(rates, -most, most)[None], rows=rows)
+    error, alarm = found.error[: replay.attack_epochs, 0], found.first_alarm[0]
+    hold = replay.epochs - replay.attack_epochs
+    return undetected_displacement(error, alarm, hold), alarm > 0
+
+
+def _play_named(backend: ReplayBackend, replay: LogReplay, spec: Any) -> PlayedSpoofer:
+    moved, alarmed = play_spoofer(replay, spec, backend.rows)
+    own = bounded_mean(alarmed, backend.rows, 0.0)
+    mean = bootstrap_mean(moved, draw_resamples(backend.rows))
+    return PlayedSpoofer(Path(label_spec(spec)).stem, own, mean)
 
 
 def _score(runs: ReplayRuns, family: str, budget: float, rates: Any = ()) -> FamilyReach:
