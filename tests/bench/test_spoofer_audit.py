@@ -14,6 +14,7 @@ from ..command_line import call, read, refused
 from ..detectors.learned.files import write_guard
 from .detector_support import NOMINAL, small_task
 
+UNCALIBRATED = {"name": "shewhart"}
 OWN = """
 from spoofgym.spoofers import Ramp
 
@@ -29,7 +30,7 @@ class Acts(Ramp):
 
 @pytest.fixture(autouse=True)
 def few_detectors(monkeypatch):
-    found = [{"name": "never"}, {"name": "snapshot-chi2", **NOMINAL}]
+    found = [{"name": "never"}, {"name": "snapshot-chi2", **NOMINAL}, UNCALIBRATED]
     monkeypatch.setattr(suite, "list_standard_detectors", lambda task=None: found)
     monkeypatch.setitem(DETECTOR_TASKS, "D1", small_task())
 
@@ -51,6 +52,7 @@ def test_a_spoofer_meets_the_detectors_of_the_suite_beside_the_usual_attacks(tmp
     cells = CampaignResults.load(tmp_path / "small-ramp-tuned")
     monkeypatch.setattr("spoofgym.bench.experiments.campaign.Panel", None)  # nothing plays again
     result = call(*words(tmp_path, "--spoofer", "ramp"))
+    assert "shewhart is left out: a quick audit makes no calibration" in result.stderr
     lines = result.stdout.splitlines()
     assert lines[-1] == found["answer"]
     assert lines[-2] == f"Report: {cells.path / 'report.html'}"
@@ -72,7 +74,7 @@ def test_a_spoofer_meets_the_detectors_of_the_suite_beside_the_usual_attacks(tmp
         (["--spoofer", "own:Key"], "spoofer 'own:Key': KeyError: 'rate'"),
         (["--spoofer", "own:Acts"], "Acts raises KeyError: 0"),
         (["--spoofer", "guard.onnx"], "is that of a detector policy, which is no spoofer"),
-        (["--spoofer", "ewma-ppo"], "'ewma-ppo' does not fit this attack"),
+        (["--spoofer", "ewma-ppo"], "to `spoofgym bench`: an audit plays in the world of small"),
         (["--spoofer", "ramp", "--family", "ramps"], "are options of a detector's audit"),
     ],
 )
