@@ -7,14 +7,15 @@ import pytest
 
 from spoofgym.bench.experiments import suite
 from spoofgym.bench.experiments.campaign import CampaignResults
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.scores.at_budget import AlarmCurve, exceed_at_budget
+from spoofgym.cli.suites import leave_uncalibrated
 from spoofgym.tasks import DETECTOR_TASKS
 
 from ..command_line import call, read, refused
 from ..detectors.learned.files import write_guard
 from .detector_support import NOMINAL, small_task
 
-UNCALIBRATED = {"name": "shewhart"}
 OWN = """
 from spoofgym.spoofers import Ramp
 
@@ -30,7 +31,7 @@ class Acts(Ramp):
 
 @pytest.fixture(autouse=True)
 def few_detectors(monkeypatch):
-    found = [{"name": "never"}, {"name": "snapshot-chi2", **NOMINAL}, UNCALIBRATED]
+    found = [{"name": "never"}, {"name": "snapshot-chi2", **NOMINAL}]
     monkeypatch.setattr(suite, "list_standard_detectors", lambda task=None: found)
     monkeypatch.setitem(DETECTOR_TASKS, "D1", small_task())
 
@@ -52,13 +53,26 @@ def test_a_spoofer_meets_the_detectors_of_the_suite_beside_the_usual_attacks(tmp
     cells = CampaignResults.load(tmp_path / "small-ramp-tuned")
     monkeypatch.setattr("spoofgym.bench.experiments.campaign.Panel", None)  # nothing plays again
     result = call(*words(tmp_path, "--spoofer", "ramp"))
-    assert "shewhart is left out: a quick audit makes no calibration" in result.stderr
     lines = result.stdout.splitlines()
     assert lines[-1] == found["answer"]
     assert lines[-2] == f"Report: {cells.path / 'report.html'}"
     assert max(map(len, lines[:-2])) <= 100
     assert (cells.path / "report.html").is_file()
     assert json.loads((cells.path / "summary.json").read_text())["entropy"] == 3
+
+
+def test_a_quick_audit_leaves_out_detectors_without_thresholds():
+    detectors = ["never", {"name": "ewma", "smoothing": 0.123, "false_alarms_per_hour": 0.2}]
+    whole = Suite(scenario="zhong2025", detectors=detectors, spoofers=["ramp"])
+    label = whole.detector_players[1].label
+    part, note = leave_uncalibrated(whole, quick=True)
+    assert [each.label for each in part.detector_players] == ["never"]
+    assert note == f"{label} is left out: a quick audit makes no calibration"
+    assert part.notes == (note,)
+    same, text = leave_uncalibrated(whole, quick=False)
+    assert same is whole
+    assert text.startswith(f"{label}: calibrated first on clean runs, which takes")
+    assert leave_uncalibrated(part, quick=True) == (part, "")
 
 
 @pytest.mark.parametrize(
