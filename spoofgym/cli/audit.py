@@ -15,7 +15,7 @@ from ..core.registry import require
 from . import options as opt
 from .app import print_json, print_lines, progress
 from .options import with_options
-from .suites import calibrate_suite, make_tuning
+from .suites import calibrate_suite, leave_uncalibrated, make_tuning
 
 if TYPE_CHECKING:
     from ..bench.experiments import Experiment, Reader
@@ -263,9 +263,9 @@ def audit_spoofer(text: str, options: AuditOptions) -> Audited:
         list_standard_detectors,
         standard_kwargs,
     )
+    from ..bench.report.audit import REFERENCES, format_reach, write_spoofer_audit
     from ..bench.report.campaign_page import build_page, replay_worst
     from ..bench.report.page import load_replay, write_page
-    from ..bench.report.spoofer_audit import REFERENCES, format_reach, write_spoofer_audit
     from ..bench.runs.players import add_tuned_setting, specify_spoofer
     from ..core.registry import slug
     from ..tasks import get_detector_task
@@ -296,7 +296,17 @@ def audit_spoofer(text: str, options: AuditOptions) -> Audited:
             ),
             floor_worlds=size.floor_worlds,
         )
-        suite.world.check_fit((), suite.spoofer_players)
+        try:
+            suite.world.check_fit((), suite.spoofer_players)
+        except ValueError as error:
+            if "--set " not in str(error):
+                raise
+            raise ValueError(
+                f"{error} to `spoofgym bench`: an audit plays in the world of {task.key} alone"
+            ) from error
+        suite, text = leave_uncalibrated(suite, options.size == "quick")
+        if text:
+            typer.echo(f"{task.key}: {text}", err=True)
         campaign = Campaign(calibrate_suite(suite, None, options.threads))
         folder = options.out / f"{task.key}-{slug(player.label)}"
         if (results := options.finish(campaign, folder)) is None:

@@ -150,6 +150,26 @@ def calibrate_suite(suite: Suite, detectors: Sequence[str] | None, threads: int 
     return suite
 
 
+def leave_uncalibrated(suite: Suite, quick: bool) -> tuple[Suite, str]:
+    """A suite whose `quick` audit plays only detectors with thresholds, and what is to be said of
+    those without; "" where all have some."""
+    left = []
+    for entry in suite.detector_players:
+        try:
+            suite.world.judge(entry)
+        except ValueError:
+            left.append(entry.label)
+    if not left:
+        return suite, ""
+    labels = ", ".join(left)
+    if not quick:
+        text = "calibrated first on clean runs, which takes minutes of a processor each, and stored"
+        return suite, f"{labels}: {text}"
+    note = f"{labels}{LEFT_OUT}a quick audit makes no calibration"
+    accepted = [e.spec for e in suite.detector_players if e.label not in left]
+    return replace(suite, detectors=accepted, notes=(*suite.notes, note)), note
+
+
 def make_tuning(runs: int, budget: float, **settings: Any) -> Tuning:
     """A search on so many training runs, of which a sixteenth sifts."""
     from ..bench.search.amplitude import Tuning

@@ -27,6 +27,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..attacks import Attack, AttackContext
 from ..detectors import Never
@@ -190,21 +191,25 @@ def record_from(
     simulator: TightlyCoupledSimulator, look: Callable[[LinearRun], None] | None = None
 ) -> list[LinearRun]:
     """Filters of receivers at the onset; `look` is given (B, ...) of each epoch, updated."""
-    setup = simulator.setup
-    epochs: list[LinearRun] = []
-    for _ in range(setup.steps + setup.hold):
+    setup, arrays = simulator.setup, list[NDArray[Any]]()
+    for k in range(setup.steps + setup.hold):
         epoch = simulator.advance()
         P, H, S = (getattr(epoch, name) for name in ("predicted_cov", "design", "innovation_cov"))
-        gain = np.linalg.solve(S, H @ P).transpose(0, 2, 1)
+        solved = np.linalg.solve(S, H @ P)  # the gain, transposed
         visible, axes = epoch.visible.astype(np.bool_), setup.C_en[simulator.epochs]
-        parts = epoch.transition, H, gain, S, visible, axes
-        epochs.append(LinearRun._make((*map(np.array, parts), 0)))
+        parts = epoch.transition, H, solved, S, visible, axes
+        if not arrays:
+            arrays = [
+                np.empty((len(x), setup.steps + setup.hold, *x.shape[1:]), x.dtype) for x in parts
+            ]
+            runs = [arrays[0], arrays[1], arrays[2].swapaxes(2, 3), *arrays[3:]]
+        for array, part in zip(arrays, parts, strict=True):
+            array[:, k] = part
         simulator.update(None)
         if look is not None:
-            look(epochs[-1])
-    arrays = [np.stack(each, axis=1) for each in zip(*(part[:6] for part in epochs), strict=True)]
+            look(LinearRun._make((*(each[:, k] for each in runs), 0)))
     onsets = simulator.onset.tolist()
-    return [LinearRun._make((*(each[b] for each in arrays), k)) for b, k in enumerate(onsets)]
+    return [LinearRun._make((*(each[b] for each in runs), k)) for b, k in enumerate(onsets)]
 
 
 def respond(run: LinearRun, offsets: FloatArray) -> Response:

@@ -24,6 +24,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.memory import release_free_memory
 from ..detectors import Detector, DetectorContext, PooledDetector, SolutionSeparation, Verdict
 from ..detectors.base import BoolArray, FloatArray, IntArray, check_needs, judge_epoch
 from ..detectors.calibrated import unwrap
@@ -48,8 +49,9 @@ HATS = 40  # hat functions of the rate by which the response is known, over the 
 UNKNOWN_RESPONSES = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
 MATRICES = {"transition", "predicted_cov", "design", "innovation_cov"}
 """Fields that are stored in single precision, as the responses are."""
-RUNS_AT_ONCE = 32  # whose matrices are held in memory together
-JUDGED_AT_ONCE = 160  # runs and attacks whose separations are judged together
+RUNS_AT_ONCE = 8  # whose matrices are held in memory together
+SEPARATED_AT_ONCE = 160  # runs and attacks whose separations are judged together
+JUDGED_AT_ONCE = 576  # runs and attacks that other detectors judge together
 
 
 class Replayed(NamedTuple):
@@ -193,6 +195,11 @@ class LinearReplay:
     def _play(
         self, number: int, rates: FloatArray, rows: NDArray[np.intp], scale: FloatArray
     ) -> Replayed:
+        count = min(math.ceil(len(rates) * len(rows) / JUDGED_AT_ONCE), len(rows))
+        if count > 1:  # which changes no bits, as other attacks beside them might
+            some = zip(np.array_split(rows, count), np.array_split(scale, count), strict=True)
+            parts = [self._play(number, rates, *each) for each in some]
+            return Replayed(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
         moved, error = self.compute_shifts(rates, rows, check_needs(self.detectors[number]))
         if not np.all(scale == 1.0):
             moved = {name: array * scale[:, None] for name, array in moved.items()}
@@ -235,7 +242,7 @@ class LinearReplay:
 
     def _whiten(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
         """(P, N, K, J, 2) whitened separations under attacks, some runs at a time."""
-        count = math.ceil(len(rows) * len(rates) / JUDGED_AT_ONCE)
+        count = math.ceil(len(rows) * len(rates) / SEPARATED_AT_ONCE)
         parts = np.array_split(rows, min(count, len(rows)))
         with ThreadPoolExecutor(self.threads) as pool:
             found = pool.map(lambda rows: self._whiten_some(number, rates, rows), parts)
@@ -373,6 +380,7 @@ class Replay(LinearReplay):
         self.needs = frozenset().union(*map(check_needs, detectors))
         self._record(detectors, seeds)
         self._respond(seeds)
+        release_free_memory()
 
     def _record(
         self, detectors: Sequence[Detector], seeds: Sequence[np.random.SeedSequence]

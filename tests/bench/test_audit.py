@@ -222,9 +222,13 @@ def test_a_whole_audit_of_a_detector_of_ones_own(tmp_path):
     [
         [{"shard": (1, 2)}, {"shard": (2, 2)}],
         pytest.param([{"jobs": 2}], marks=pytest.mark.nightly),
+        pytest.param([{"jobs": 2, "backend": "dask"}], marks=pytest.mark.nightly),
+        pytest.param([{"jobs": 2, "backend": "ray"}], marks=pytest.mark.nightly),
     ],
 )
 def test_figures_are_those_of_one_process_in_shards_and_in_several(passes, tmp_path):
+    if "backend" in passes[0]:
+        pytest.importorskip(passes[0]["backend"])
     settings = {"runs": 4, "selection_runs": 4, "families": ["dashes"], "entropy": 0, "threads": 1}
     plain, auditor = (
         Auditor(small_task(), "quick", folder=folder, **settings) for folder in (None, tmp_path)

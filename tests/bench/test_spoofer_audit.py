@@ -7,7 +7,9 @@ import pytest
 
 from spoofgym.bench.experiments import suite
 from spoofgym.bench.experiments.campaign import CampaignResults
+from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.scores.at_budget import AlarmCurve, exceed_at_budget
+from spoofgym.cli.suites import leave_uncalibrated
 from spoofgym.tasks import DETECTOR_TASKS
 
 from ..command_line import call, read, refused
@@ -59,6 +61,20 @@ def test_a_spoofer_meets_the_detectors_of_the_suite_beside_the_usual_attacks(tmp
     assert json.loads((cells.path / "summary.json").read_text())["entropy"] == 3
 
 
+def test_a_quick_audit_leaves_out_detectors_without_thresholds():
+    detectors = ["never", {"name": "ewma", "smoothing": 0.123, "false_alarms_per_hour": 0.2}]
+    whole = Suite(scenario="zhong2025", detectors=detectors, spoofers=["ramp"])
+    label = whole.detector_players[1].label
+    part, note = leave_uncalibrated(whole, quick=True)
+    assert [each.label for each in part.detector_players] == ["never"]
+    assert note == f"{label} is left out: a quick audit makes no calibration"
+    assert part.notes == (note,)
+    same, text = leave_uncalibrated(whole, quick=False)
+    assert same is whole
+    assert text.startswith(f"{label}: calibrated first on clean runs, which takes")
+    assert leave_uncalibrated(part, quick=True) == (part, "")
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -72,7 +88,7 @@ def test_a_spoofer_meets_the_detectors_of_the_suite_beside_the_usual_attacks(tmp
         (["--spoofer", "own:Key"], "spoofer 'own:Key': KeyError: 'rate'"),
         (["--spoofer", "own:Acts"], "Acts raises KeyError: 0"),
         (["--spoofer", "guard.onnx"], "is that of a detector policy, which is no spoofer"),
-        (["--spoofer", "ewma-ppo"], "'ewma-ppo' does not fit this attack"),
+        (["--spoofer", "ewma-ppo"], "to `spoofgym bench`: an audit plays in the world of small"),
         (["--spoofer", "ramp", "--family", "ramps"], "are options of a detector's audit"),
     ],
 )

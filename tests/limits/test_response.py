@@ -8,7 +8,7 @@ import pytest
 from spoofgym.bench.runs.panel import Panel, PanelAttack
 from spoofgym.bench.runs.play import induced_error
 from spoofgym.detectors import DETECTORS, Calibrated, Ewma, Never, make_detector
-from spoofgym.limits import NotReplayable, Replay
+from spoofgym.limits import NotReplayable, Replay, response
 from spoofgym.limits.response import check_replayable
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.setup import make_generators, seed_sequences
@@ -148,3 +148,19 @@ class Fixes(Ewma):
 def test_a_detector_that_needs_a_position_is_refused_by_name(detector):
     with pytest.raises(NotReplayable, match=r"^Fixes looks at gnss_position, whose response"):
         check_replayable(detector)
+
+
+def test_bits_do_not_depend_on_how_many_runs_are_judged_or_recorded_together(monkeypatch):
+    setup = setup_of(domain=DRAWN)
+    names, curves = ["snapshot-chi2", "shewhart"], np.array([ramp_of(setup, x) for x in (0.1, 0.4)])
+
+    def play():
+        replay = Replay(setup, [make_detector(x) for x in names], seeds_of(setup, 9), threads=1)
+        return [replay.play(k, curves, scale=np.linspace(0.5, 1.5, 9)) for k in range(len(names))]
+
+    whole = play()
+    monkeypatch.setattr(response, "JUDGED_AT_ONCE", 5)
+    monkeypatch.setattr(response, "RUNS_AT_ONCE", 2)
+    for one, other in zip(whole, play(), strict=True):
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_array_equal(a, b)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from ...core.files import write_file
+from ...core.memory import release_free_memory
 from ...core.registry import check_choice, slug, whole_number
 from ...core.settings import compute_digest, describe, outside_sources
 from ...detectors import detector_in_world
@@ -200,6 +201,7 @@ class AuditCells(Experiment):
         _, (part, *_), group = zip(*(self.parts[cell.key] for cell in cells), strict=True)
         worlds, size = self.of.worlds, self.of.size
         worlds.threads = context.threads
+        release_free_memory()
         if isinstance(part, AttackFamily):
             yield from self._play_family(part, group, context)
         elif part == FALSE_ALARMS:

@@ -1,4 +1,4 @@
-"""The screen that an audit ends with: at most 40 lines of 100 columns, then report and answer."""
+"""The screens that audits of detectors and spoofers end with: 40 lines of 100 columns at most."""
 
 from __future__ import annotations
 
@@ -8,14 +8,22 @@ from pathlib import Path
 from typing import Any
 
 from ..scores.audit import Audit, format_age
+from ..scores.campaign import CONTROLS, extract_name
 from ..scores.scores import SHARES
-from .table import format_number, interval, percent
+from .campaign import OVER, bound_text, shorten_label
+from .table import Table, format_number, interval, metres, percent
 
 LINES, WIDTH = 39, 100
 LABEL, VALUE = 34, 40  # characters of the first two columns
 NO_REFERENCE = "no score of a non-learned detector is stored for this task"
 BY = {"audit": "by the same families", "campaign": "in a campaign"}
 """Where a reference's figures come from."""
+Row = dict[str, Any]
+REFERENCES = ("open-loop", "accelerating-ramp")
+"""Attacks that a spoofer is compared with."""
+HALF, FEW = (f"{share:g}" for share in SHARES)
+WIDTHS = (26, 8, 22, 8, 13, 13)
+"""Of the columns of a spoofer's screen."""
 
 
 def format_screen(audit: Audit) -> list[str]:
@@ -126,3 +134,80 @@ def print_audits(
     for path in reports:
         print(f"Report: {path}")
     print(*answers, sep="\n")
+
+
+def write_spoofer_audit(summary: Row, spoofer: str, task: str, budget: str) -> Row:
+    """Audit of a spoofer by a campaign, JSON-able: a row for each detector, with what it and the
+    usual attacks exceed at the alarm budget. Its answer is that against the detector that holds it
+    tightest, controls apart."""
+    cells = {(cell["detector"], cell["spoofer"]): cell for cell in summary["cells"]}
+    others = dict.fromkeys(name for _, name in cells if name not in ("none", spoofer))
+    rows = []
+    for row in summary["detectors"]:
+        label, own = row["detector"], cells[row["detector"], spoofer]
+        rows.append(
+            {
+                **{key: row[key] for key in ("detector", "false_alarms_per_hour")},
+                **{key: own[key] for key in ("exceeded_m", "alarm_rate")},
+                "within_budget": own["within_budget"] and own["tuned_within_budget"] is not False,
+                "others": {extract_name(x): cells[label, x]["exceeded_m"] for x in others},
+                "zero_alarm": row["bracket"]["zero_alarm"],
+            }
+        )
+    floor = (summary["limits"]["floor"] or {}).get("floor_m")
+    counted = [row for row in rows if extract_name(row["detector"]) not in CONTROLS] or rows
+    known = [row for row in counted if row["exceeded_m"][HALF]["value"] is not None]
+    answer = f"{spoofer}: no score, as no run is silent without an attack"
+    if known:
+        best = min(known, key=lambda row: row["exceeded_m"][HALF]["value"])
+        beside = [f"{x} {_exceeded(found, HALF)} m" for x, found in best["others"].items()]
+        if floor:
+            beside.append(f"a perfect detector allows {metres(floor['half']['value'])} m")
+        answer = (
+            f"{spoofer}: {interval(best['exceeded_m'][HALF])} m in half of the runs of the "
+            f"tightest of {len(counted)} detectors, {shorten_label(best['detector'])}, at "
+            f"{100 * summary['budget']:g} % of alarms{'' if best['within_budget'] else OVER} "
+            f"({', '.join(beside)})"
+        )
+    plain = {key: summary[key] for key in ("runs", "entropy", "alert_limit_m")}
+    names = {"side": "spoofer", "spoofer": spoofer, "task": task, "budget": budget}
+    return {**names, **plain, "floor_m": floor, "detectors": rows, "answer": answer}
+
+
+def _exceeded(found: Row, part: str) -> str:
+    return "-" if (x := found[part]["value"]) is None else format_number(x)
+
+
+def format_reach(audit: Row) -> list[str]:
+    """Lines of a spoofer's screen, without the answer."""
+    rows, floor = audit["detectors"], audit["floor_m"]
+    own = lambda row: interval(row["exceeded_m"][HALF])  # noqa: E731
+    table = Table(
+        ("detector", lambda row: shorten_label(row["detector"]).replace(",", ", ")),
+        ("false alarms /h", lambda row: metres(row["false_alarms_per_hour"]["value"])),
+        ("in 50 % of runs [m]", lambda row: own(row) + ("" if row["within_budget"] else OVER)),
+        ("in 5 % [m]", lambda row: _exceeded(row["exceeded_m"], FEW)),
+        *(
+            (
+                f"{name} 50, 5 %",
+                lambda row, x=name: ", ".join(_exceeded(row["others"][x], y) for y in (HALF, FEW)),
+            )
+            for name in rows[0]["others"]
+        ),
+    )
+    widths = WIDTHS[: 4 + len(rows[0]["others"])]
+    limits = "not known"
+    if floor:
+        ends = (metres(floor[name]["value"]) for name in ("half", "few"))
+        limits = "{} m in 50 %, {} m in 5 % of runs".format(*ends)
+    bounds = [(row["detector"], bound_text(row["zero_alarm"], "")) for row in rows]
+    known = [f"{text} m against {shorten_label(name)}" for name, text in bounds if text]
+    return [
+        f"{audit['spoofer']} in {audit['task']}: {audit['runs']} runs, fitted to each detector's "
+        f"alarms ({audit['budget']}, seed {audit['entropy']})",
+        "",
+        *(line for row in (None, *rows) for line in table.lines(row, widths)),
+        "",
+        f"a perfect detector allows: {limits}",
+        f"no attack without alarm exceeds: {', '.join(known) or 'not known'}",
+    ]
