@@ -69,7 +69,7 @@ def shown(world: dict[str, Any], residual: dict[str, Any], learned: dict[str, An
     )
     values = {"table": table.markdown(SHOWN), "over": OVER, "policies": policies}
     values["learned"] = [_describe_learned(*each) for each in residual["detectors"].items()]
-    values["titles"] = SHOWN
+    values |= {"titles": SHOWN, "trained": [*learned["trained"].values()]}
     values["whole"] = metres(cells["never", "ramp"]["stealthy_displacement_m"]["value"])
     return render_page("bench.md.j2", world=world, **values)
 

@@ -1,7 +1,7 @@
 """Plain PPO that corrects the searched attacks of the standard suite: its column `learned`.
 
     python -m train.suite_ppo --list              # what it trains, and its CPU hours
-    python -m train.suite_ppo --out runs/suite    # trains, and writes a file and a card of each
+    python -m train.suite_ppo --out runs/suite    # trains; what is kept of it goes to agents/s1
     python -m train.suite_ppo --score             # the column again, from the shipped cards alone
 
 A detector's base is the open-loop attack of docs/headlines.json, at the amplitude that is at the
@@ -54,6 +54,7 @@ from .residual_ppo import (
 )
 
 TASK, STATISTICS = "S1", "statistics"
+WORLD = get_task(TASK).world_kwargs
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED, SCORES = ROOT / "agents" / "s1", ROOT / "docs" / "learned.json"
 CAMPAIGN = ROOT / "docs" / "headlines.json"
@@ -101,7 +102,7 @@ def list_specs() -> dict[str, dict[str, Any]]:
 @cache
 def make_judge(label: str, runs: int, entropy: int) -> Evaluator:
     sizes: dict[str, Any] = {"runs": runs, "fit_runs": runs, "rule": EXACT, "entropy": entropy}
-    return Evaluator(detector=list_specs()[label], **get_task(TASK).world_kwargs, **sizes)
+    return Evaluator(detector=list_specs()[label], **WORLD, **sizes)
 
 
 def find_base(label: str, choice_runs: int) -> dict[str, Any]:
@@ -121,7 +122,7 @@ def train(settings: Settings, case: str, base: dict[str, Any], seed: int) -> dic
     """One training; the checkpoint that gets farthest on the choice runs goes to a file."""
     label, _ = CASES[case]
     env = make_env(OPEN_LOOP, base["spec"], STATISTICS)
-    own = {**get_task(TASK).world_kwargs, "detector": list_specs()[label], **env}
+    own = {**WORLD, "detector": list_specs()[label], **env}
     model = make_model(own, settings.price_m, seed, settings.num_envs)
     judge, reached = make_judge(label, settings.choice_runs, CHOICE), [base["choice_m"]]
     states, why, began = [], None, time.process_time()
@@ -144,8 +145,9 @@ def train(settings: Settings, case: str, base: dict[str, Any], seed: int) -> dic
         weights, model.get_vec_normalize_env().obs_rms = states[best - 1]
         model.policy.load_state_dict(weights)
         row["file"] = f"{TASK.lower()}-{case}-{seed}.onnx"
+        SHIPPED.mkdir(exist_ok=True)
         told = {**row, "decided_on": [[CHOICE, "evaluation"]]}
-        spoofgym.export.onnx(model, model.get_env(), settings.out / row["file"], training=told)
+        spoofgym.export.onnx(model, model.get_env(), SHIPPED / row["file"], training=told)
     model.get_env().close()
     return row
 
@@ -181,8 +183,12 @@ def list_parts(settings: Settings) -> dict[str, Part]:
 def play(settings: Settings, progress: ProgressBar | None = None) -> dict[str, Any]:
     """Train what is missing, or score the shipped cards; the results, JSON-able."""
     config = {"task": TASK, "versions": learning_versions()}
+    kept = json.loads(SCORES.read_text())
     if not settings.score:
-        return Records("suite-ppo", config, list_parts(settings)).play(settings.out, progress)
+        found = Records("suite-ppo", config, list_parts(settings)).play(settings.out, progress)
+        done = {name: each for name, each in found.items() if "checkpoint" in each}
+        write_json(SCORES, {**kept, "trained": {**kept["trained"], **done}})
+        return found
     parts = {
         path.stem: Part(
             {"runs": settings.runs, "file": hashlib.sha256(path.read_bytes()).hexdigest()},
@@ -191,7 +197,7 @@ def play(settings: Settings, progress: ProgressBar | None = None) -> dict[str, A
         for path in sorted(SHIPPED.glob("*.onnx"))
     }
     found = Records("suite-ppo-cards", config, parts).play(settings.out / "scores", progress)
-    write_json(SCORES, {"runs": settings.runs, "policies": found})
+    write_json(SCORES, {**kept, "runs": settings.runs, "policies": found})
     return found
 
 
