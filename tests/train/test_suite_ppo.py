@@ -47,10 +47,12 @@ def test_shipped_policies_are_those_that_are_scored_and_say_what_they_were_chose
 def test_what_is_better_on_choice_runs_ships_with_its_card_and_is_scored(tmp_path, monkeypatch):
     line = {"warmup_s": 8.0, "live_s": 5.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
     world = {"scenario": "zhong2025", "timeline": line}
-    scores, better = tmp_path / "learned.json", count()
+    curve = {"name": "open-loop", "rates_mps": [0.2, 0.4]}
+    scores, better = tmp_path / "learned.json", count(1)
     scores.write_text(json.dumps({"runs": 0, "policies": {}, "trained": {}}))
     for name, value in {
         **{"WORLD": world, "SHIPPED": tmp_path / "s1", "SCORES": scores},
+        "find_base": lambda *_: {"spec": curve, "choice_m": 0.0},
         "get_metres": lambda _: float(next(better)),
         "list_specs": lambda: {"snapshot-chi2": {"name": "snapshot-chi2"}},
     }.items():
