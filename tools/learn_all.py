@@ -95,6 +95,7 @@ def list_steps(out: Path) -> dict[str, Step]:
         },
         "threshold": "spoofgym calibrate --task T3 --detector OUT/guard/guard.onnx --runs 2000 "
         "--hold-out 400 --transfer zhong2025 --transfer trolley-tactical",
+        "suite": "train.suite_ppo --out OUT/suite",
         "feedback": "tools.feedback_gain --out OUT/feedback",
         "feedback-T2": "tools.feedback_gain --task T2 --out OUT/feedback",
         "game": f"train.double_oracle --task T3 --out OUT/game {GAME}",

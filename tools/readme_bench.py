@@ -31,7 +31,7 @@ from tools.pages import DOCS, ROOT, put_between, render_page
 
 README, SHARED, DRAWN = ROOT / "README.md", DOCS / "bench.json", DOCS / "campaign.png"
 START, END = "<!-- bench:start -->", "<!-- bench:end -->"
-RESIDUAL = DOCS / "residual.json"
+RESIDUAL, LEARNED = DOCS / "residual.json", DOCS / "learned.json"
 SHOWN = {
     "solution-separation(filter=augmented,spacing=geometric)": "solution separation, own filter",
     "solution-separation(spacing=geometric)": "solution separation, same filter",
@@ -51,22 +51,33 @@ def label(detector: str) -> str:
     return re.sub(r"\(false_alarms_per_hour=0\.2\)|, false_alarms_per_hour=0\.2", "", detector)
 
 
-def shown(world: dict[str, Any], residual: dict[str, Any]) -> str:
+def shown(world: dict[str, Any], residual: dict[str, Any], learned: dict[str, Any]) -> str:
     cells = {(cell["detector"], cell["spoofer"].partition("(")[0]): cell for cell in world["cells"]}
     protections = {label(row["detector"]): row for row in world["protection"]}
     names = {label(row["detector"]): row["detector"] for row in world["detectors"]}
+    policies = choose_policies(learned)
+    reach: Any = lambda each: interval(each["score"][MEASURES[0]])  # noqa: E731
+    learned_column = ("learned [m]", policies.get, reach)
     table = Table(
         ("detector", lambda short: SHOWN[short]),
         *(
             (f"{title} [m]", lambda short, x=x: cells[names[short], x], _format_displacement)
             for x, title in SPOOFERS.items()
         ),
+        *([learned_column] if policies else []),
         ("worst in half of the runs [m]", lambda x: headline(protections[x], 0.5), interval),
     )
-    learned = [_describe_learned(*each) for each in residual["detectors"].items()]
-    values = {"learned": learned, "table": table.markdown(SHOWN), "over": OVER}
+    values = {"table": table.markdown(SHOWN), "over": OVER, "policies": policies}
+    values["learned"] = [_describe_learned(*each) for each in residual["detectors"].items()]
+    values |= {"titles": SHOWN, "trained": [*learned["trained"].values()]}
     values["whole"] = metres(cells["never", "ramp"]["stealthy_displacement_m"]["value"])
     return render_page("bench.md.j2", world=world, **values)
+
+
+def choose_policies(learned: dict[str, Any]) -> dict[str, Any]:
+    """The scored policy of each detector, of several the one that was best on choice runs."""
+    ranked = sorted(learned["policies"].values(), key=lambda each: max(each["choice_m"]))
+    return {each["detector"]: each for each in ranked}
 
 
 def _describe_learned(detector: str, found: dict[str, Any]) -> str:
@@ -111,7 +122,9 @@ def main(arguments: list[str]) -> None:
     (group,) = groups(world)
     dots = picture_displacements(world, group)
     save_drawing(dots.draw, dots.height_in, DRAWN)
-    put_between(README, START, END, shown(world, json.loads(RESIDUAL.read_text())))
+    put_between(
+        README, START, END, shown(world, *(json.loads(x.read_text()) for x in (RESIDUAL, LEARNED)))
+    )
 
 
 if __name__ == "__main__":

@@ -199,13 +199,12 @@ def score_scripts(settings: Settings, detector: str, bases: dict[str, Any]) -> d
 
 
 def make_model(
-    settings: Settings, case: Case, spec: dict[str, Any], price_m: float, seed: int
+    own: dict[str, Any], price_m: float, seed: int, num_envs: int = NUM_ENVS, faster: int = 1
 ) -> PPO:
-    """PPO whose first corrections are 0 but for exploration."""
-    own = {**WORLD, "detector": case.detector, **make_env(case.base, spec, case.knowledge)}
-    vector = SpoofVecEnv(NUM_ENVS, seed=1000 * seed, warm_pool=NUM_ENVS, **own)
+    """PPO whose first corrections are 0 but for exploration; `own`: settings of the environment."""
+    vector = SpoofVecEnv(num_envs, seed=1000 * seed, warm_pool=num_envs, **own)
     set_price(vector, price_m / vector.core.length_m)
-    plain = {x: FASTER[case.base] * PLAIN[x] for x in ("n_steps", "batch_size")}
+    plain = {x: faster * PLAIN[x] for x in ("n_steps", "batch_size")}
     spread: dict[str, Any] = {"policy_kwargs": {"log_std_init": LOG_STD}}
     envs = VecNormalize(vector, gamma=1.0)
     model = PPO("MlpPolicy", envs, seed=seed, device="cpu", **{**PLAIN, **plain}, **spread)
@@ -231,7 +230,9 @@ def train(
 ) -> dict[str, Any]:
     """One training, the choice of a checkpoint, and scores on other runs."""
     texts = {name: json.dumps(each["spec"]) for name, each in bases.items()}
-    model = make_model(settings, case, bases[case.base]["spec"], price_m, seed)
+    env = make_env(case.base, bases[case.base]["spec"], case.knowledge)
+    own = {**WORLD, "detector": case.detector, **env}
+    model = make_model(own, price_m, seed, NUM_ENVS, FASTER[case.base])
     policies, why, began = [], None, time.perf_counter()
     for _ in range(CHECKPOINTS):
         steps = FASTER[case.base] * settings.steps // CHECKPOINTS

@@ -1,0 +1,71 @@
+"""PPO that corrects the attacks of the standard suite: its plan, and the policies that ship."""
+
+import json
+from dataclasses import replace
+from itertools import count
+
+import pytest
+
+# ruff: noqa: E402 - the packages of the laboratory may be missing
+torch = pytest.importorskip("torch")
+for name in ("stable_baselines3", "tyro"):
+    pytest.importorskip(name)
+
+from spoofgym.bench.runs.players import specify_detector
+from spoofgym.policies import SpooferCard
+from tools.readme_bench import SHOWN, choose_policies, label
+from train import suite_ppo
+from train.suite_ppo import CASES, CHOICE, SCORES, SHIPPED, Settings, build_table, list_plan, play
+
+LARGEST = 200_000
+
+
+def test_the_plan_has_the_detectors_of_the_readme_and_their_hours():
+    assert {each for each, _ in CASES.values()} < {*SHOWN}
+    plan = list(list_plan(Settings(seeds=(0, 1), detectors=("own-filter",))))
+    assert plan == ["own-filter: 2 trainings, about 2.00 CPU hours"]
+    with pytest.raises(ValueError, match="unknown detector 'raim'"):
+        Settings(detectors=("raim",))
+
+
+def test_shipped_policies_are_those_that_are_scored_and_say_what_they_were_chosen_on():
+    policies = json.loads(SCORES.read_text())["policies"]
+    assert {path.stem for path in SHIPPED.glob("*.onnx")} == {*policies}
+    for name, each in policies.items():
+        path = SHIPPED / f"{name}.onnx"
+        card = SpooferCard.load(path.with_suffix(".json"))
+        assert path.stat().st_size < LARGEST
+        assert card.training["decided_on"] == [[CHOICE, "evaluation"]]
+        assert card.training["choice_m"] == each["choice_m"]
+        assert label(specify_detector(card.env_kwargs["detector"]).label) == each["detector"]
+        assert max(each["choice_m"]) > each["choice_m"][0]  # or it would be its base
+        assert each["ratio"]["low"] >= 0.97
+    assert {*choose_policies({"policies": policies})} <= {*SHOWN}
+
+
+@pytest.mark.nightly
+def test_what_is_better_on_choice_runs_ships_with_its_card_and_is_scored(tmp_path, monkeypatch):
+    line = {"warmup_s": 8.0, "live_s": 5.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
+    world = {"scenario": "zhong2025", "timeline": line}
+    curve = {"name": "open-loop", "rates_mps": [0.2, 0.4]}
+    scores, better = tmp_path / "learned.json", count(1)
+    scores.write_text(json.dumps({"runs": 0, "policies": {}, "trained": {}}))
+    for name, value in {
+        **{"WORLD": world, "SHIPPED": tmp_path / "s1", "SCORES": scores},
+        "find_base": lambda *_: {"spec": curve, "choice_m": 0.0},
+        "get_metres": lambda _: float(next(better)),
+        "list_specs": lambda: {"snapshot-chi2": {"name": "snapshot-chi2"}},
+    }.items():
+        monkeypatch.setattr(suite_ppo, name, value)
+    sizes = {"steps": 64, "num_envs": 64, "checkpoints": 1, "choice_runs": 160, "runs": 160}
+    settings = Settings(out=tmp_path / "out", detectors=("snapshot-chi2",), **sizes)
+    assert play(settings)["snapshot-chi2 0"]["checkpoint"] == 1
+    found = play(replace(settings, score=True))
+    kept = json.loads(scores.read_text())
+    assert kept["policies"] == found
+    assert [*kept["trained"]] == ["snapshot-chi2 0"]
+    (each,) = found.values()
+    measure = "undetected_displacement_m"
+    apart = each["score"][measure]["value"] / each["base"][measure]["value"]
+    assert each["ratio"]["value"] == pytest.approx(apart, rel=1e-3)
+    assert "s1-snapshot-chi2-0 |" in build_table(found)

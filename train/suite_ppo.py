@@ -1,0 +1,232 @@
+"""Plain PPO that corrects the searched attacks of the standard suite: its column `learned`.
+
+    python -m train.suite_ppo --list              # what it trains, and its CPU hours
+    python -m train.suite_ppo --out runs/suite    # trains; what is kept of it goes to agents/s1
+    python -m train.suite_ppo --score             # the column again, from the shipped cards alone
+
+A detector's base is the open-loop attack of docs/headlines.json, at the amplitude that is at the
+budget on choice runs.  PPO sees the detector's statistics, begins with corrections of 0, and goes
+on for `steps` decisions; of its checkpoints and the base the one is taken that gets farthest on the
+choice runs.  Scores are of the runs of the README's table, at exactly the budget, which decide
+nothing here; ratios to the base are paired.  After a kill the same command goes on with the seed
+that was learning.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import spoofgym.export
+from agents.folder import Part, Records, error_lines, learning_versions, write_json
+from agents.learning import learn, run_training
+from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.experiments.suite import list_standard_detectors
+from spoofgym.bench.report.table import Table, interval
+from spoofgym.bench.runs.players import specify_detector
+from spoofgym.bench.runs.record import MEASURES
+from spoofgym.bench.scores.at_budget import ratio_at_budget
+from spoofgym.bench.scores.statistics import BUDGET
+from spoofgym.bench.search.amplitude import EXACT
+from spoofgym.core.progress import ProgressBar
+from spoofgym.core.registry import check_choice
+from spoofgym.detectors.calibrated import STANDARD_RATE
+from spoofgym.policies import SpooferCard
+from spoofgym.tasks import get_task
+
+from .residual_ppo import (
+    OPEN_LOOP,
+    correct_nothing,
+    freeze,
+    get_metres,
+    make_env,
+    make_model,
+    scale_rates,
+)
+
+TASK, STATISTICS = "S1", "statistics"
+WORLD = get_task(TASK).world_kwargs
+ROOT = Path(__file__).resolve().parents[1]
+SHIPPED, SCORES = ROOT / "agents" / "s1", ROOT / "docs" / "learned.json"
+CAMPAIGN = ROOT / "docs" / "headlines.json"
+CHOICE, FINAL = 1, 0
+"""Entropy of the runs of choices, and of those of the README."""
+CASES = {
+    "cumulative-bank": ("cumulative-bank(signals=range_rate)", 3.0),
+    "snapshot-chi2": ("snapshot-chi2", 3.0),
+    "same-filter": ("solution-separation(spacing=geometric)", 8.0),
+    "own-filter": ("solution-separation(filter=augmented,spacing=geometric)", 60.0),
+}
+"""Labels of detectors, and CPU minutes of a training of 80,000 decisions with its scores, roughly.
+Against the others of the README the searched attack goes as far as its limits permit."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is trained."""
+
+    out: Path = Path("runs/suite")  # Folder of the results.
+    detectors: tuple[str, ...] = tuple(CASES)  # Of the README's table.
+    seeds: tuple[int, ...] = (0,)  # One training each.
+    steps: int = 80_000  # Decisions of all receivers together.
+    checkpoints: int = 2  # Of a training, of which one or the base is taken.
+    num_envs: int = 256  # Receivers side by side.
+    price_m: float = 300.0  # Price of an alarm [m].
+    choice_runs: int = 128  # On which all is chosen.
+    runs: int = 256  # Of the README's table.
+    list: bool = False  # Only say what is trained, and how long it takes.
+    score: bool = False  # Score the shipped cards again, into docs/learned.json.
+
+    def __post_init__(self) -> None:
+        for name in self.detectors:
+            check_choice("detector", name, CASES)
+
+
+@cache
+def list_specs() -> dict[str, dict[str, Any]]:
+    """Detectors of the standard suite by their labels, with their rate of false alarms."""
+    rate = {"false_alarms_per_hour": STANDARD_RATE}
+    specs = [{**rate, **each} for each in list_standard_detectors(get_task(TASK))]
+    return {specify_detector(spec).label: spec for spec in specs}
+
+
+@cache
+def make_judge(label: str, runs: int, entropy: int) -> Evaluator:
+    sizes: dict[str, Any] = {"runs": runs, "fit_runs": runs, "rule": EXACT, "entropy": entropy}
+    return Evaluator(detector=list_specs()[label], **WORLD, **sizes)
+
+
+def find_base(label: str, choice_runs: int) -> dict[str, Any]:
+    """Open-loop attack of the standard suite at the budget on choice runs, and how far it gets."""
+    cells = json.loads(CAMPAIGN.read_text())["worlds"][TASK]["cells"]
+    (found,) = (
+        cell["spoofer_settings"]["rates_mps"]
+        for cell in cells
+        if cell["detector"] == label and cell["spoofer"] == OPEN_LOOP
+    )
+    spec = {"name": OPEN_LOOP, "rates_mps": found}
+    fit = make_judge(label, choice_runs, CHOICE).fit(correct_nothing(OPEN_LOOP, spec))
+    return {"spec": scale_rates(spec, fit.value), "choice_m": get_metres(fit.at_budget)}
+
+
+def train(settings: Settings, case: str, base: dict[str, Any], seed: int) -> dict[str, Any]:
+    """One training; the checkpoint that gets farthest on the choice runs goes to a file."""
+    label, _ = CASES[case]
+    env = make_env(OPEN_LOOP, base["spec"], STATISTICS)
+    own = {**WORLD, "detector": list_specs()[label], **env}
+    model = make_model(own, settings.price_m, seed, settings.num_envs)
+    judge, reached = make_judge(label, settings.choice_runs, CHOICE), [base["choice_m"]]
+    states, why, began = [], None, time.process_time()
+    for _ in range(settings.checkpoints):
+        why = why or learn(model, settings.steps // settings.checkpoints, reset_num_timesteps=False)
+        if why is None:
+            reached.append(get_metres(judge.fit(freeze(model)).at_budget))
+            norm = model.get_vec_normalize_env()
+            states.append(copy.deepcopy((model.policy.state_dict(), norm.obs_rms)))
+    best = int(np.argmax(reached))
+    row: dict[str, Any] = {
+        "case": case,
+        "seed": seed,
+        "price_m": settings.price_m,
+        "steps": model.num_timesteps,
+    }
+    row |= {"choice_m": reached, "checkpoint": best, "diverged": why, "file": None}
+    row["cpu_s"] = round(time.process_time() - began)
+    if best:
+        weights, model.get_vec_normalize_env().obs_rms = states[best - 1]
+        model.policy.load_state_dict(weights)
+        row["file"] = f"{TASK.lower()}-{case}-{seed}.onnx"
+        SHIPPED.mkdir(exist_ok=True)
+        told = {**row, "decided_on": [[CHOICE, "evaluation"]]}
+        spoofgym.export.onnx(model, model.get_env(), SHIPPED / row["file"], training=told)
+    model.get_env().close()
+    return row
+
+
+def score_policy(path: Path, runs: int) -> dict[str, Any]:
+    """Score of a policy on the runs of the README, and paired with that of the base on its card."""
+    card = SpooferCard.load(path.with_suffix(".json"))
+    label = specify_detector(card.env_kwargs["detector"]).label
+    (term,) = (each for each in card.env_kwargs["action"] if each["name"] == "residual")
+    judge = make_judge(label, runs, FINAL)
+    kept, base = judge.fit(str(path)), judge.fit(correct_nothing(OPEN_LOOP, term["spoofer"]))
+    ratio = ratio_at_budget(kept.trace, base.trace, BUDGET).as_json()
+    told = {name: card.training[name] for name in ("seed", "price_m", "steps", "choice_m")}
+    scores = {"score": kept.at_budget, "base": base.at_budget, "ratio": ratio}
+    return {"detector": label, "file": path.name, **told, **scores, "amplitude": kept.value}
+
+
+def list_parts(settings: Settings) -> dict[str, Part]:
+    """Bases and trainings, in their order."""
+    parts: dict[str, Part] = {}
+    names = "steps", "checkpoints", "num_envs", "price_m", "choice_runs"
+    sizes = {each: getattr(settings, each) for each in names}
+    for case in settings.detectors:
+        label, base = CASES[case][0], f"base {case}"
+        find = lambda *_, x=label: find_base(x, settings.choice_runs)  # noqa: E731
+        parts[base] = Part({"choice_runs": settings.choice_runs}, find)
+        for seed in settings.seeds:
+            make = lambda done, _, x=case, b=base, k=seed: train(settings, x, done[b], k)  # noqa: E731
+            parts[f"{case} {seed}"] = Part(sizes, make, after=(base,))
+    return parts
+
+
+def play(settings: Settings, progress: ProgressBar | None = None) -> dict[str, Any]:
+    """Train what is missing, or score the shipped cards; the results, JSON-able."""
+    config = {"task": TASK, "versions": learning_versions()}
+    kept = json.loads(SCORES.read_text())
+    if not settings.score:
+        found = Records("suite-ppo", config, list_parts(settings)).play(settings.out, progress)
+        done = {name: each for name, each in found.items() if "checkpoint" in each}
+        write_json(SCORES, {**kept, "trained": {**kept["trained"], **done}})
+        return found
+    parts = {
+        path.stem: Part(
+            {"runs": settings.runs, "file": hashlib.sha256(path.read_bytes()).hexdigest()},
+            lambda *_, x=path: score_policy(x, settings.runs),
+        )
+        for path in sorted(SHIPPED.glob("*.onnx"))
+    }
+    found = Records("suite-ppo-cards", config, parts).play(settings.out / "scores", progress)
+    write_json(SCORES, {**kept, "runs": settings.runs, "policies": found})
+    return found
+
+
+def build_table(results: dict[str, Any]) -> str:
+    """A line of Markdown for each training, or for each shipped policy that was scored."""
+    lines = []
+    for name, each in results.items():
+        if "ratio" in each:
+            scores = [interval(each[x][MEASURES[0]]) for x in ("score", "base")]
+            lines.append((name, *scores, interval(each["ratio"], 2)))
+        elif "checkpoint" in each:
+            base, *reached = (f"{x:.1f}" for x in each["choice_m"])
+            lines.append((name, ", ".join(reached), base, f"checkpoint {each['checkpoint']}"))
+    return Table.of_texts("policy", "score [m]", "base [m]", "over its base, or taken").markdown(
+        lines
+    )
+
+
+def list_plan(settings: Settings) -> Iterator[str]:
+    """What is trained, and its CPU hours."""
+    for name in settings.detectors:
+        hours = CASES[name][1] * settings.steps / 80_000 * len(settings.seeds) / 60.0
+        yield f"{name}: {len(settings.seeds)} trainings, about {hours:.2f} CPU hours"
+
+
+@error_lines()
+def main() -> None:
+    run_training(Settings, __doc__, play, build_table, list_plan)
+
+
+if __name__ == "__main__":
+    main()
