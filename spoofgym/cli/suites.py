@@ -107,7 +107,9 @@ def _detectors(
 
     own = {name: x for name, x in decided.items() if name not in ("notes", "alert_limit_m")}
     world, specs = World.of(**own), parse_specs(texts) if texts else None
-    usual = list_standard_detectors() if standard else world.default_detectors
+    usual: Sequence[Spec] = ()
+    if specs is None:  # which flies the world
+        usual = list_standard_detectors() if standard else world.default_detectors
     if standard or (headline and specs is None):
         specs = list(usual) if specs is None else specs
         names = {spec["name"] for spec in specs}

@@ -233,20 +233,24 @@ class LinearReplay:
             pairs = np.stack([self.group, self.heading], axis=1)
             _, ones, group = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
             nothing, hats = np.zeros((1, len(self.hats))), self.hats.T
-            clean = self._whiten(number, nothing, np.arange(self.runs))[0]
-            units = self._whiten(number, hats, ones) - clean[ones]
-            units = units.transpose(1, 2, 3, 4, 0).reshape(len(ones), -1, len(hats))
-            single = np.ascontiguousarray(units, dtype=np.float32)
-            self._banks[key] = LinearBank(clean, single, group.ravel())
+            parts = [*self._whiten(number, nothing, np.arange(self.runs))]
+            clean, done = np.concatenate(parts, axis=1)[0], 0
+            units = np.empty((len(ones), clean[0].size, len(hats)), dtype=np.float32)
+            for found in self._whiten(number, hats, ones):
+                rows = slice(done, done := done + found.shape[1])
+                change = (found - clean[ones[rows]]).transpose(1, 2, 3, 4, 0)
+                units[rows] = change.reshape(-1, *units.shape[1:])
+            self._banks[key] = LinearBank(clean, units, group.ravel())
         return self._banks[key]
 
-    def _whiten(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
-        """(P, N, K, J, 2) whitened separations under attacks, some runs at a time."""
+    def _whiten(
+        self, number: int, rates: FloatArray, rows: NDArray[np.intp]
+    ) -> Iterator[FloatArray]:
+        """(P, N, K, J, 2) whitened separations under attacks, of some runs at a time."""
         count = math.ceil(len(rows) * len(rates) / SEPARATED_AT_ONCE)
         parts = np.array_split(rows, min(count, len(rows)))
         with ThreadPoolExecutor(self.threads) as pool:
-            found = pool.map(lambda rows: self._whiten_some(number, rates, rows), parts)
-            return np.concatenate(list(found), axis=1)
+            yield from pool.map(lambda rows: self._whiten_some(number, rates, rows), parts)
 
     def _whiten_some(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
         moved, _ = self.compute_shifts(rates, rows, check_needs(self.detectors[number]))
