@@ -45,11 +45,11 @@ def import_torch() -> Any:
     if not SIMULATED:
         from numba import cuda
 
-        _check_driver(cuda)
+        check_driver(cuda)
     return torch
 
 
-def _check_driver(cuda: Any) -> None:
+def check_driver(cuda: Any) -> None:
     if not cuda.is_available():
         raise RuntimeError("device='cuda' needs an NVIDIA driver and a GPU, and finds none")
     found = tuple(cuda.cudadrv.driver.driver.get_version())

@@ -36,6 +36,7 @@ from ..simulation.simulator import FilterDiverged
 from ..simulation.tight import AFTER_ONSET
 from ..truth.sensors import SOURCES
 from . import _kernels
+from ._lanes import SIMULATED
 from .memory import Tensors, put, view_for_kernels
 from .pool import Pool, launch
 from .supported import check_epochs, check_memory, check_supported, import_torch
@@ -93,8 +94,9 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
             raise ValueError("device='cuda' resets in the same step: `autoreset_mode` 'same_step'")
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
         self.render_mode, self.num_envs = None, num_envs
+        check_choice("device", str(device).partition(":")[0], ("cuda",))
         self._torch = torch = import_torch()
-        self.device = torch.device(_find_device(device))
+        self.device = torch.device("cpu" if SIMULATED else device)
         settings = {**settings, "warm_pool": 0}
         core = make_core(select_victim(victim), pasts, settings, whose=f"victim {victim!r}")
         check_supported(core)
@@ -347,11 +349,3 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
 
     def close_extras(self, **kwargs: Any) -> None:
         self.core.close()
-
-
-def _find_device(device: str) -> str:
-    from ._lanes import SIMULATED
-
-    name, _, _ = str(device).partition(":")
-    check_choice("device", name, ("cuda",))
-    return "cpu" if SIMULATED else str(device)
