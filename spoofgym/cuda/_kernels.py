@@ -19,7 +19,6 @@ from ..envs._kernels import (
     HOLD,
     STEPS,
     WORST,
-    TERMINATED,
     follow_rate,
     observe,
     report_loudest,
@@ -81,7 +80,7 @@ def judge(r, t, w, b, detector):
     innovation, variance, visible = r.innovation[b:e], r.variance[b:e], r.visible[b:e]
     statistic, threshold, weights = r.statistic[b:e], r.threshold[b:e], r.weights[b:e]
     first, last = int(s[4]), int(s[5])
-    if detector == EWMA or detector == PASSIVE_EWMA:
+    if EWMA <= detector <= PASSIVE_EWMA:
         chart = r.first[b:e], r.second[b:e], statistic, threshold
         judge_channels(innovation, variance, visible, s[0], s[1], s[2], *chart, weights)
     elif detector == SHEWHART:
@@ -96,7 +95,7 @@ def judge(r, t, w, b, detector):
     for j in range(n):
         seen += 1 if visible[0, j] else 0
     for c in range(statistic.shape[1]):
-        if detector == SHEWHART or detector == CUSUM:
+        if SHEWHART <= detector <= CUSUM:
             threshold[0, c] = s[1]
         elif detector == SNAPSHOT:
             threshold[0, c] = t.limits[seen]
@@ -110,7 +109,7 @@ def judge(r, t, w, b, detector):
             weights[0, k] = 1.0
 
 
-def run_epoch(r, t, b, command, hold, attack, detector, what):
+def run_receiver(r, t, b, command, hold, attack, detector, what):
     """An epoch of receiver b; `command` (1, a). Whether its detector alarms."""
     e = b + 1
     d_range, d_rate = r.range_offset[b:e], r.rate_offset[b:e]
@@ -167,13 +166,13 @@ def age(r, t, warmup_alarm, left, count, detector, what):
     if b >= r.epochs.shape[0]:
         return
     for _ in range(min(count, left[b])):
-        if run_epoch(r, t, b, r.displacement[b : b + 1], True, 0, detector, what):
+        if run_receiver(r, t, b, r.displacement[b : b + 1], True, 0, detector, what):
             warmup_alarm[b] = True
         left[b] -= 1
 
 
-def play(r, t, p, attack, detector):
-    """A step of every receiver as `envs._kernels.play_epoch` runs it, its time to alert included."""
+def play_step(r, t, p, attack, detector):
+    """A step of every receiver, as `envs._kernels.play_epoch` runs it, and its time to alert."""
     b = cuda.grid(1)
     if b >= r.epochs.shape[0]:
         return
@@ -187,7 +186,7 @@ def play(r, t, p, attack, detector):
     for k in range(count):
         if k > 0 and not held:
             break
-        alarmed = run_epoch(r, t, b, p.command[b:e], k > 0, attack, detector, ALL)
+        alarmed = run_receiver(r, t, b, p.command[b:e], k > 0, attack, detector, ALL)
         if k > 0:
             first = k if alarmed and first == 0 else first
             continue

@@ -25,6 +25,12 @@ from ._lanes import SIMULATED
 from .supported import split_scale
 
 Arrays = dict[str, NDArray[Any]]
+NUMBERS: dict[type[Any], int] = {
+    Never: _kernels.NEVER,
+    Shewhart: _kernels.SHEWHART,
+    Cusum: _kernels.CUSUM,
+    SnapshotChi2: _kernels.SNAPSHOT,
+}
 
 
 def put(torch: Any, array: NDArray[Any], device: Any, shared: bool = False) -> Any:
@@ -172,8 +178,6 @@ class Layout:
 
 
 def number_detector(detector: Any) -> int:
-    kinds = {Never: _kernels.NEVER, Shewhart: _kernels.SHEWHART, Cusum: _kernels.CUSUM}
-    kinds |= {SnapshotChi2: _kernels.SNAPSHOT}
     if isinstance(detector, Ewma):
         return _kernels.PASSIVE_EWMA if detector.weight_scale is None else _kernels.EWMA
-    return kinds[type(detector)]
+    return NUMBERS[type(detector)]

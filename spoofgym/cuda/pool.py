@@ -73,6 +73,5 @@ class Pool:
     @property
     def bytes_each(self) -> int:
         """Memory of a receiver, its scratch memory included."""
-        scratch = self.layout.scratch(1)
-        lasting = sum(t.element_size() * t[:1].numel() for t in self.lasting.values())
-        return lasting + sum(array.nbytes for array in scratch.values())
+        lasting = sum(int(t.element_size() * t[:1].numel()) for t in self.lasting.values())
+        return lasting + sum(array.nbytes for array in self.layout.scratch(1).values())

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from ..attacks.commands import FalsePosition, PerChannel
 from ..core.extras import name_extra
 from ..detectors import Detector
@@ -16,19 +14,20 @@ from ..detectors.chi_square import SnapshotChi2
 from ..detectors.controls import Never
 from ..detectors.cusum import Cusum
 from ..envs.core import SpoofCore
-from ..envs.terms.observation import (
-    GainWeight,
-    SatelliteGeometry,
-    StatisticRatio,
-    TargetDirection,
-    TargetMotion,
-    Time,
-)
+from ..envs.terms import observation as seen
 from ..simulation.tight import TightlyCoupledSetup
 
 LEAST_CUDA = (13, 0)
 DETECTORS: tuple[type[Detector], ...] = (Never, Ewma, Shewhart, Cusum, SnapshotChi2)
-TERMS = (Time, TargetDirection, TargetMotion, SatelliteGeometry, StatisticRatio, GainWeight)
+TERMS: dict[type[Any], str] = {
+    seen.Time: "time",
+    seen.TargetMotion: "motion",
+    seen.TargetDirection: "direction",
+    seen.SatelliteGeometry: "geometry",
+    seen.GainWeight: "weights",
+    seen.StatisticRatio: "ratio",
+}
+"""Observation terms that depend on what has happened, by what is observed."""
 
 
 def import_torch() -> Any:
@@ -106,18 +105,11 @@ def check_supported(core: SpoofCore) -> None:
         raise ValueError(f"device='cuda' does not have {', '.join(lacking)}")
 
 
-def check_memory(receivers: int, each: int, shared: int, free: int) -> None:
+def check_free_memory(receivers: int, each: int, free: int) -> None:
     """Raise a ValueError where receivers of `each` bytes need more than is `free` on a device."""
-    most = max(0, math.floor((0.95 * free - shared) / max(each, 1)))
+    most = math.floor(0.95 * free / each)
     if receivers > most:
         raise ValueError(
-            f"{receivers} receivers need {(receivers * each + shared) / 2**30:.1f} GiB, and the "
-            f"device has {free / 2**30:.1f} GiB free: at most {most}"
+            f"{receivers} receivers need {receivers * each / 2**30:.1f} GiB, and the device has "
+            f"{free / 2**30:.1f} GiB free: at most {most}"
         )
-
-
-def check_epochs(onset: Any, steps: int, hold: int, epochs: int) -> None:
-    """Raise a ValueError where an attack would go on after the last epoch of its world."""
-    last = int(np.max(onset)) + steps + hold
-    if last >= epochs:
-        raise ValueError(f"an attack ends at epoch {last}, and the world has {epochs}")

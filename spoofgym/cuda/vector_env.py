@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from ..core.registry import check_choice, whole_number
-from ..envs._kernels import GAIN, REWARD, TERMINATED
+from ..envs._kernels import REWARD, TERMINATED
+from ..envs.core import SpoofCore
 from ..envs.env import HasSpec
 from ..envs.factory import DEFAULT_VICTIM, make_core, select_victim
 from ..envs.options import (
@@ -23,23 +24,15 @@ from ..envs.options import (
     observation_space,
     parse_autoreset_mode,
 )
-from ..envs.scoring import MARK_NAMES
-from ..envs.terms.observation import (
-    GainWeight,
-    SatelliteGeometry,
-    StatisticRatio,
-    TargetDirection,
-    TargetMotion,
-    Time,
-)
+from ..envs.scoring import MARK_NAMES, MARKS
 from ..simulation.simulator import FilterDiverged
 from ..simulation.tight import AFTER_ONSET
 from ..truth.sensors import SOURCES
 from . import _kernels
 from ._lanes import SIMULATED
-from .memory import Tensors, put, view_for_kernels
+from .memory import Tensors, view_for_kernels
 from .pool import Pool, launch
-from .supported import check_epochs, check_memory, check_supported, import_torch
+from .supported import TERMS, check_free_memory, check_supported, import_torch
 
 PASTS = 16_384
 FINAL = "final_obs"
@@ -75,6 +68,8 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         As in `SpoofEnv`; a setting that a device lacks is a ValueError with its name.
     """
 
+    core: SpoofCore
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -102,10 +97,8 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         check_supported(core)
         self.core, self._layout = core, core._fused.layout
         self.observation_names, self.action_names = core.observation_names, core.action_names
-        self.single_observation_space, self.single_action_space = (
-            observation_space(core),
-            action_space(core),
-        )
+        self.single_observation_space = observation_space(core)
+        self.single_action_space = action_space(core)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._keys = info_keys(infos, (*self._layout.names, FINAL))
@@ -125,71 +118,60 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
 
     def _allocate(self) -> None:
         torch, core, pool, b = self._torch, self.core, self._pool, self.num_envs
-        setup, layout = core.setup, pool.layout
-        check_epochs(core.engine.simulator.onset, setup.steps, setup.hold, len(setup.epoch_time))
-        if self.device.type != "cpu":
-            free, _ = torch.cuda.mem_get_info(self.device)
+        setup, layout, device = core.setup, pool.layout, self.device
+        if device.type != "cpu":
             largest = 8 * (setup.steps + 1 + self._layout.numbers + 3)
-            check_memory(b, pool.bytes_each + largest, 0, free)
+            check_free_memory(b, pool.bytes_each + largest, torch.cuda.mem_get_info(device)[0])
         arrays: dict[str, Any] = layout.scratch(b)
         alike = [name for name in ("assumed", "constants") if pool.lasting[name].shape[0] == 1]
         for name, past in pool.lasting.items():
             host = past[:1].cpu().numpy()
             host = host.view(np.uint64) if name in pool.words else host
             arrays[name] = host if name in alike else np.zeros((b, *host.shape[1:]), host.dtype)
-        self._lasting = [name for name in pool.lasting if name not in alike]
-        axes, elements, observed = (
-            len(setup.action_names),
-            len(self.action_names),
-            len(core.observation_names),
-        )
-        action = np.zeros((b, elements))
-        terms = {type(term) for term, _ in core.observer._parts}
+        self._parts = [(TERMS[type(term)], term, part) for term, part in core.observer._parts]
+        terms = {kind: term for kind, term, _ in self._parts}
+        observed, motion = len(core.observation_names), terms.get("motion")
         arrays |= {
-            "action": action,
+            "action": np.zeros((b, len(self.action_names))),
+            "command": np.zeros((b, len(setup.action_names))),
             "seen": np.zeros((b, observed), dtype=np.float32),
-            "motion": np.zeros((b if TargetMotion in terms else 0, 6), dtype=np.float32),
-            "time": np.zeros((b if Time in terms else 0, 2), dtype=np.float32),
-            "command": np.zeros((b, axes)),
+            "motion": np.zeros((b if motion else 0, 6), dtype=np.float32),
+            "time": np.zeros((b if "time" in terms else 0, 2), dtype=np.float32),
             **{name: np.zeros(b, dtype=np.int64) for name in ("step_count", "number", "picked")},
             **{name: np.zeros(b, dtype=np.bool_) for name in ("detected", "ended", "no_rows")},
             "undetected": np.zeros(b),
         }
-        self._arrays = Tensors(torch, arrays, self.device)
+        self._arrays = Tensors(torch, arrays, device)
         if core.commands.is_plain:
             self._arrays.views["command"] = self._arrays.views["action"]
         _, rules, per_rate, table = core._fused._fixed
-        motion = next((t for t, _ in core.observer._parts if isinstance(t, TargetMotion)), None)
-        scales = (1.0, 1.0)
-        if motion is not None:
-            scales = 1.0 / motion.position_scale_m, 1.0 / motion.velocity_scale_mps
+        scales = (motion.position_scale_m, motion.velocity_scale_mps) if motion else (1.0, 1.0)
         rows = {
             "largest": np.zeros((setup.steps + 1, b)),
             "values": np.zeros((self._layout.numbers + 3, b)),
-            "marks": np.zeros((8, b), dtype=np.bool_),
+            "marks": np.zeros((MARKS, b), dtype=np.bool_),
             "rules": rules,
             "per_rate": np.asarray(per_rate, dtype=np.float64),
             "table": table,
             "following": core.commands._rules,
-            "scales": np.array(scales),
+            "scales": 1.0 / np.array(scales),
             "seed": np.zeros(2, dtype=np.uint64),
             "sources": np.array([SOURCES.index(name) for name in AFTER_ONSET]),
+            "low": core.bounds[0],
+            "high": core.bounds[1],
         }
-        self._rows = Tensors(torch, rows, self.device, shared=True)
+        if "geometry" in terms:
+            rows["geometry"] = np.asarray(setup.geometry_table(), dtype=np.float32)
+        self._rows = Tensors(torch, rows, device, shared=True)
         self._receivers = layout.name_receivers(self._arrays)
         self._shared = pool.shared.name_views(_kernels.Shared)
         views = self._arrays.views | self._rows.views
         self._episodes = _kernels.Episodes(*(views[name] for name in _kernels.Episodes._fields))
-        self._copies = [self._pair(name) for name in self._lasting]
-        bounds = {"low": core.bounds[0], "high": core.bounds[1]}
-        self._bounds = {name: put(torch, each, self.device) for name, each in bounds.items()}
-        self._geometry = None
-        if SatelliteGeometry in terms:
-            table = np.asarray(setup.geometry_table(), dtype=np.float32)
-            self._geometry = put(torch, table, self.device, shared=True)
+        self._known = self._receivers, self._shared, self._episodes
+        self._copies = [self._pair(name) for name in pool.lasting if name not in alike]
 
     def _pair(self, name: str) -> tuple[Any, Any]:
-        """A lasting quantity of the receivers and of the pasts, with all its columns in one axis."""
+        """A quantity of the receivers and of the pasts, all its columns in one axis."""
 
         def flatten(tensor: Any) -> Any:
             columns = tensor[0].numel() if tensor.ndim > 1 else 1
@@ -268,8 +250,7 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
             arrays["action"].copy_(actions)
             rows["marks"].zero_()
             rest = self._pool.layout.attack, self._pool.layout.detector
-            known = self._receivers, self._shared, self._episodes
-            launch("play", self.num_envs, self._stream, *known, *rest)
+            launch("play_step", self.num_envs, self._stream, *self._known, *rest)
             reward = rows["values"][REWARD].clone()
             terminated = rows["marks"][TERMINATED].clone()
             info = self._report()
@@ -302,17 +283,15 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         raise ValueError("actions must be in [-1, 1], and some are not, or are NaN")
 
     def _report(self) -> dict[str, Any]:
-        names, wanted = self._layout.names, self._keys
-        numbers = names[: self._layout.numbers]
-        keys = (*names, FINAL) if wanted is None else wanted
+        numbers, rows = self._layout.names[: self._layout.numbers], self._rows
         info: dict[str, Any] = {}
-        for name in keys:
+        for name in (*self._layout.names, FINAL) if self._keys is None else self._keys:
             if name == FINAL:
                 info[name] = self._observe()
             elif name in numbers:
-                info[name] = self._rows["values"][numbers.index(name)].clone()
+                info[name] = rows["values"][numbers.index(name)].clone()
             else:
-                info[name] = self._rows["marks"][MARK_NAMES.index(name)].clone()
+                info[name] = rows["marks"][MARK_NAMES.index(name)].clone()
         return info
 
     def _restart(self) -> None:
@@ -324,28 +303,24 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         launch("renew", b, stream, self._episodes, self._receivers.keys, words, sources)
 
     def _observe(self) -> Any:
-        arrays, torch, n = self._arrays, self._torch, self._pool.layout.channels
-        known = self._receivers, self._shared, self._episodes
-        launch("look", self.num_envs, self._stream, *known)
-        seen = arrays["seen"]
-        for term, part in self.core.observer._parts:
-            if isinstance(term, Time):
-                seen[:, part] = arrays["time"]
-            elif isinstance(term, TargetMotion):
-                seen[:, part] = arrays["motion"]
-            elif isinstance(term, TargetDirection):
-                seen[:, part] = arrays["direction"].to(seen.dtype)
-            elif isinstance(term, SatelliteGeometry):
-                seen[:, part] = self._geometry[arrays["epochs"]]
-            elif isinstance(term, GainWeight):
-                seen[:, part] = arrays["weights"][:, :n].to(seen.dtype)
-            elif isinstance(term, StatisticRatio):
-                ratio = arrays["statistic"] / arrays["threshold"]
-                ratio = ratio.amax(dim=1, keepdim=True) if term.largest else ratio
-                seen[:, part] = ratio.to(seen.dtype)
-            low, high = self._bounds["low"][part], self._bounds["high"][part]
-            seen[:, part] = torch.minimum(torch.maximum(seen[:, part], low), high)
-        return seen.clone(memory_format=torch.contiguous_format)
+        launch("look", self.num_envs, self._stream, *self._known)
+        seen, rows = self._arrays["seen"], self._rows
+        for kind, term, part in self._parts:
+            values = self._observe_term(kind, term).to(seen.dtype)
+            clipped = self._torch.maximum(values, rows["low"][part])
+            seen[:, part] = self._torch.minimum(clipped, rows["high"][part])
+        return seen.clone(memory_format=self._torch.contiguous_format)
+
+    def _observe_term(self, kind: str, term: Any) -> Any:
+        arrays = self._arrays
+        if kind == "geometry":
+            return self._rows[kind][arrays["epochs"]]
+        if kind == "weights":
+            return arrays[kind][:, : self._pool.layout.channels]
+        if kind != "ratio":
+            return arrays[kind]
+        ratio = arrays["statistic"] / arrays["threshold"]
+        return ratio.amax(dim=1, keepdim=True) if term.largest else ratio
 
     def close_extras(self, **kwargs: Any) -> None:
         self.core.close()

@@ -259,8 +259,8 @@ class DisplacementScore:
             so_far = np.logical_or.accumulate(of_twin, axis=0)
             self.twin_alarmed[rows] |= so_far[by_then, np.arange(len(rows))]
         first = np.where(alarmed, 1 + late.argmax(axis=0), 0)
-        lengths, so_far = (self.hold, self.steps), (self.step_count, self.detected, self.undetected)
-        given = *lengths, *so_far, self.largest, values, marks
+        lengths, memory = (self.hold, self.steps), (self.step_count, self.detected, self.undetected)
+        given = *lengths, *memory, self.largest, values, marks
         _kernels.score_late_alarms(first, rows, *given)
 
 

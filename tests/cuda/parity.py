@@ -59,7 +59,8 @@ def compare(settings: dict[str, Any]) -> dict[str, int]:
         device.reset(seed=5)
         seed = device._rows["seed"].numpy().view(np.uint64)
         cpu = Processor(settings, seed)
-    count = compare_pasts(device, cpu)
+    count = compare_lasting(device._pool.lasting, cpu.pool)
+    same("warmup_alarm", device._pool.lasting["warmup_alarm"], cpu.pool.memory["warmup_alarm"])
     every = np.arange(RECEIVERS)
     cpu.start(every)
     same("first observation", device.reset(seed=5)[0], cpu.core.observe())
@@ -80,7 +81,7 @@ def compare(settings: dict[str, Any]) -> dict[str, int]:
             cpu.start(np.flatnonzero(result.terminated))
         same("observation", seen, cpu.core.observe())
         count += last.size
-    count += compare_receivers(device, cpu.core.engine.simulator)
+    count += compare_lasting(device._arrays, cpu.core.engine.simulator)
     device.close()
     return {"numbers": count, "resets": ends}
 
@@ -89,17 +90,7 @@ def same(name: str, found: torch.Tensor, wanted: np.ndarray) -> None:
     np.testing.assert_array_equal(found.numpy(), wanted, err_msg=name)
 
 
-def compare_pasts(device: CudaVectorEnv, cpu: Processor) -> int:
-    count = _compare_lasting(device._pool.lasting, cpu.pool)
-    same("warmup_alarm", device._pool.lasting["warmup_alarm"], cpu.pool.memory["warmup_alarm"])
-    return count
-
-
-def compare_receivers(device: CudaVectorEnv, simulator: Any) -> int:
-    return _compare_lasting(device._arrays, simulator)
-
-
-def _compare_lasting(tensors: Any, simulator: Any) -> int:
+def compare_lasting(tensors: Any, simulator: Any) -> int:
     """State, covariance, sensors and keys of all receivers."""
     found = {
         "x": simulator.buffers.fields.gather(),

@@ -1,6 +1,8 @@
 """What an environment on a device refuses, by the simulator; in a process of its own."""
 
+import re
 import warnings
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +15,18 @@ from spoofgym.simulation.simulator import FilterDiverged
 
 LINE = {"warmup_s": 1.0, "live_s": 1.0, "attack_s": 2.0, "time_to_alert_s": 1.0}
 SETTINGS = {"timeline": LINE, "imu_rate_hz": 10, "detector": "never", "knowledge": "blind"}
+
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "cuda.md"
+
+
+def play_the_page() -> None:
+    """Its code, with two receivers and a short flight."""
+    (code,) = re.findall(r"```py\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
+    assert "num_envs=4096, " in code
+    small = {"num_envs": 2, "pasts": 2, "timeline": LINE, "imu_rate_hz": 10}
+    given = ", ".join(f"{name}={value!r}" for name, value in small.items())
+    exec(code.replace("num_envs=4096", given), {})
 
 
 def main() -> None:
@@ -60,6 +74,7 @@ def main() -> None:
         env.step(torch.zeros(2, 1))
     made.close()
     other.close()
+    play_the_page()
     print("refused")
 
 

@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from spoofgym.envs import SpoofVectorEnv
 from spoofgym.envs.factory import make_core, select_victim
+from spoofgym.tasks import TASKS
 
 pytest.importorskip("torch")
 from spoofgym.cuda import supported
@@ -20,26 +20,10 @@ ROOT = Path(__file__).resolve().parents[2]
 LINE = {"warmup_s": 2.0, "live_s": 2.0, "attack_s": 2.0, "time_to_alert_s": 1.0}
 FAST = {"timeline": LINE, "imu_rate_hz": 10}
 ORACLE = ["own-command", "time", "target-motion", "satellite-geometry", "gain-weight"]
-AIRBORNE = {
-    "timeline": LINE,
-    "scenario": {
-        "name": "aviation-actual",
-        "flight": "terminal",
-        "in_run": "wandering",
-        "imu_rate_hz": 20.0,
-    },
-    "receiver": "matched",
-    "domain": {
-        "start_s": [0.0, None],
-        "age_s": [4.0, 7.0],
-        "turned_deg": [0.0, 360.0],
-        "constellation_time_s": [0.0, 86400.0],
-        "worlds": 3,
-        "turns": 2,
-        "turn_on": "drawn",
-        "events": {"clock_step": 0.3, "satellite_loss": 0.3, "front": 0.3, "within_s": 2.0},
-    },
-}
+S1 = TASKS["S1"].env_kwargs
+EVENTS = {"clock_step": 0.3, "satellite_loss": 0.3, "front": 0.3, "within_s": 2.0}
+SKIES = {**S1["domain"], "age_s": [4.0, 7.0], "worlds": 3, "turns": 2, "events": EVENTS}
+AIRBORNE = {"scenario": S1["scenario"], "receiver": "matched", "timeline": LINE, "domain": SKIES}
 TACTICAL = {**FAST, "scenario": "zhong2025-tactical", "receiver": "matched"}
 WORLDS = {"zhong2025": FAST, "tactical": TACTICAL, "airborne": AIRBORNE}
 
@@ -54,7 +38,7 @@ DETECTORS = {
     "ewma": detector("ewma", **LOUD),
     "passive ewma": detector("ewma", weight_scale=None),
     "shewhart": detector("shewhart", **LOUD, signals="both"),
-    "cusum": detector("cusum", limit=4.0),
+    "cusum": {"name": "cusum", "threshold_scale": 0.35},
     "snapshot-chi2": detector("snapshot-chi2", **LOUD),
 }
 ATTACKS = {
@@ -100,7 +84,7 @@ def test_kernels_are_compiled_for_three_architectures_without_contraction(tmp_pa
     arguments.write_text(run("tests.cuda.ptx", "types")[-1])
     lines = run("tests.cuda.ptx", str(arguments), "8,0", "7,5", "9,0", simulated=False)
     found = [json.loads(line) for line in lines]
-    assert {architecture for name, architecture, *_ in found if name == "play"} == {
+    assert {architecture for name, architecture, *_ in found if name == "play_step"} == {
         "8,0",
         "7,5",
         "9,0",
@@ -138,18 +122,16 @@ def test_drivers_that_are_missing_or_old_are_errors():
         supported.check_driver(SimpleNamespace(is_available=lambda: True, **vars(old)))
 
 
-def test_too_many_receivers_and_epochs_beyond_the_world_are_errors():
-    with pytest.raises(ValueError, match="at most 94$"):
-        supported.check_memory(100, 2**20, 2**20, 100 * 2**20)
-    supported.check_memory(94, 2**20, 2**20, 100 * 2**20)
-    with pytest.raises(ValueError, match="epoch 121, and the world has 121"):
-        supported.check_epochs(np.array([3, 11]), 100, 10, 121)
+def test_too_many_receivers_are_an_error_with_the_largest_number():
+    with pytest.raises(ValueError, match="free: at most 95"):
+        supported.check_free_memory(96, 2**20, 100 * 2**20)
+    supported.check_free_memory(95, 2**20, 100 * 2**20)
 
 
 @pytest.mark.parametrize(
     ("settings", "named"),
     [
-        ({"detector": detector("joint")}, "detector JointChart"),
+        ({"detector": detector("joint-chart")}, "detector JointChart"),
         ({"detector": detector("shewhart", weight_scale=0.3)}, "weight_scale"),
         ({"detector": detector("ewma", min_satellites=5)}, "min_satellites"),
         ({"detector": detector("cusum", bias_window_s=0.5)}, "bias_window_s"),
