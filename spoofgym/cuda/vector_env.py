@@ -128,7 +128,8 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
             host = past[:1].cpu().numpy()
             host = host.view(np.uint64) if name in pool.words else host
             arrays[name] = host if name in alike else np.zeros((b, *host.shape[1:]), host.dtype)
-        self._parts = [(TERMS[type(term)], term, part) for term, part in core.observer._parts]
+        parts = core.observer._parts
+        self._parts: list[Any] = [(TERMS[type(term)], term, part) for term, part in parts]
         terms = {kind: term for kind, term, _ in self._parts}
         observed, motion = len(core.observation_names), terms.get("motion")
         arrays |= {
