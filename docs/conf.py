@@ -54,6 +54,7 @@ docs/detector_wrapper
 docs/own_observation_term
 docs/learning
 docs/cheaper_episodes
+docs/cuda
 docs/duel
 docs/self_play
 docs/game

@@ -15,7 +15,7 @@ from collections import namedtuple
 import numpy as np
 
 from ..core.compile import inline_njit, njit
-from ..core.simd import LANES, store
+from ..core.simd import LANES, count_lanes, lane, set_lane, store
 from ..earth.wgs84 import range_and_rate
 from ..truth._kernels import load3
 from ..truth.clock import advance_clock
@@ -75,10 +75,10 @@ def add_displacement(shift, truth, k, captured, coherent, d_range, d_rate, work)
     """Add the offsets that make captured ranges those of an antenna displaced at epoch k.
 
     The true ranges come from the same operations; without displacement and rate the offset is
-    exactly zero.  Eight satellites are computed side by side.
+    exactly zero.  As many satellites are computed side by side as `work` has lanes.
 
     `shift` (6,) displacement and its rate, ECEF [m], [m/s]; `d_range`, `d_rate` (n,), added to;
-    `work` (8, 8) scratch memory.
+    `work`: lane array of 8 rows, scratch memory.
     """
     still = True
     for i in range(6):
@@ -88,20 +88,19 @@ def add_displacement(shift, truth, k, captured, coherent, d_range, d_rate, work)
     satellites, p, v = truth.satellites[k], truth.position_e[k], truth.velocity_e[k]
     position = p[0] + shift[0], p[1] + shift[1], p[2] + shift[2]
     velocity = v[0] + shift[3], v[1] + shift[4], v[2] + shift[5]
-    n = captured.shape[0]
-    for first in range(0, n, LANES):
-        for lane in range(LANES):
-            s = min(first + lane, n - 1)
+    n, together = captured.shape[0], count_lanes(work)
+    for first in range(0, n, together):
+        for each in range(together):
             for i in range(6):
-                work[i, lane] = satellites[s, i]
+                set_lane(work, i, each, satellites[min(first + each, n - 1), i])
         rho, change, _, _, _ = range_and_rate(load3(work, 0), load3(work, 3), position, velocity)
         store(work, 6, rho)
         store(work, 7, change)
-        for s in range(first, min(first + LANES, n)):
+        for s in range(first, min(first + together, n)):
             if captured[s] and satellites[s, 6] != 0.0:
-                d_range[s] += work[6, s - first] - satellites[s, 6]
+                d_range[s] += lane(work, 6, s - first) - satellites[s, 6]
                 if coherent:
-                    d_rate[s] += work[7, s - first] - satellites[s, 7]
+                    d_rate[s] += lane(work, 7, s - first) - satellites[s, 7]
 
 
 @njit
@@ -114,18 +113,28 @@ def false_position(
     """
     shift, work = np.empty(6), np.empty((8, LANES))
     for b in range(lo, hi):
-        k = epochs[b] + 1
-        move(commanded, b, truth.epoch_time[k] - truth.epoch_time[k - 1], True)
-        moved, rate = commanded.displacement[b], commanded.rate[b]
-        for i in range(3):
-            shift[i], shift[3 + i] = target_error[b, i], target_error[b, 3 + i]
-            for axis in range(moved.shape[0]):
-                shift[i] += moved[axis] * axes_e[k, axis, i]
-                shift[3 + i] += rate[axis] * axes_e[k, axis, i]
-                shift[3 + i] += moved[axis] * axes_e[k, axis, 3 + i]
-        d_range[b], d_rate[b] = 0.0, 0.0
-        coherent = commanded.settings[3] > 0.0
-        add_displacement(shift, truth, k, captured, coherent, d_range[b], d_rate[b], work)
+        given = commanded, axes_e, target_error, epochs, truth, captured, d_range, d_rate
+        displace_antenna(*given, b, shift, work)
+
+
+@njit
+def displace_antenna(
+    commanded, axes_e, target_error, epochs, truth, captured, d_range, d_rate, b, shift, work
+):
+    """`false_position` of receiver b. `shift` (6,) and `work`: scratch memory, as in
+    `add_displacement`."""
+    k = epochs[b] + 1
+    move(commanded, b, truth.epoch_time[k] - truth.epoch_time[k - 1], True)
+    moved, rate = commanded.displacement[b], commanded.rate[b]
+    for i in range(3):
+        shift[i], shift[3 + i] = target_error[b, i], target_error[b, 3 + i]
+        for axis in range(moved.shape[0]):
+            shift[i] += moved[axis] * axes_e[k, axis, i]
+            shift[3 + i] += rate[axis] * axes_e[k, axis, i]
+            shift[3 + i] += moved[axis] * axes_e[k, axis, 3 + i]
+    d_range[b], d_rate[b] = 0.0, 0.0
+    coherent = commanded.settings[3] > 0.0
+    add_displacement(shift, truth, k, captured, coherent, d_range[b], d_rate[b], work)
 
 
 @njit

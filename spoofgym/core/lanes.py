@@ -61,6 +61,11 @@ class LaneFields:
         values = part.copy() if receivers is None else part[receivers]
         return values.reshape(len(values), *self.shapes[name])
 
+    def gather(self) -> NDArray[Any]:
+        """All rows of every receiver, (B, rows), or (1, rows) where they are shared; a copy."""
+        rows = self._grouped.transpose(0, 2, 1).reshape(self.groups * self.lanes, self.rows)
+        return rows[: 1 if self.shared else self.receivers].copy()
+
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Gather a quantity of all receivers; a copy, which can't be written to."""
         values = self.get(name)

@@ -379,7 +379,7 @@ def is_sound(statistic: FloatArray, threshold: FloatArray, weights: FloatArray |
     sound = True
     for b in range(statistic.shape[0]):
         for c in range(statistic.shape[1]):
-            sound &= np.isfinite(statistic[b, c]) and 0.0 < threshold[b, c] < np.inf
+            sound &= abs(statistic[b, c]) < np.inf and 0.0 < threshold[b, c] < np.inf
     if weights is not None:
         for b in range(weights.shape[0]):
             for c in range(weights.shape[1]):

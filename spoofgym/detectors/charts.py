@@ -322,12 +322,14 @@ def find_largest_sizes(
     judged: BoolArray,
     first: int,
     last: int,
+    out: FloatArray,
 ) -> FloatArray:
-    """Size of every satellite's innovation in standard deviations, the largest of its rows (B, n);
-    0 for those that are not judged."""
+    """Write the size of every satellite's innovation in standard deviations, the largest of its
+    rows, into `out` (B, n), and return it; 0 for those that are not judged."""
     receivers, n = judged.shape
-    out = np.zeros((receivers, n))
     for b in range(receivers):
+        for j in range(n):
+            out[b, j] = 0.0
         for r in range(first, last):
             if judged[b, r % n]:
                 size = abs(innovation[b, r]) / math.sqrt(innovation_variance[b, r])
@@ -357,7 +359,8 @@ class Shewhart(WeighingChart, InnovationTest):
 
     def judge(self, epoch: Epoch) -> Verdict:
         innovation, judged = self._without_bias(epoch)
-        statistic = find_largest_sizes(innovation, epoch.innovation_variance, judged, *self._rows)
+        signal, out = (innovation, epoch.innovation_variance, judged), np.empty(judged.shape)
+        statistic = find_largest_sizes(*signal, *self._rows, out)
         verdict = compare(statistic, self._quantile)
         if self.weight_scale is None:
             return verdict

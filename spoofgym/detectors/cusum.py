@@ -59,12 +59,15 @@ def advance_sums(
     allowance: float,
     above: FloatArray,
     below: FloatArray,
+    out: FloatArray,
 ) -> FloatArray:
     """Advance all sums by one epoch; those of satellites that are not judged start again. `above`,
-    `below` (B, last - first) memory; returns (B, n) largest sum of every satellite."""
+    `below` (B, last - first) memory; `out` (B, n), written and returned: largest sum of every
+    satellite."""
     receivers, n = judged.shape
-    out = np.zeros((receivers, n))
     for b in range(receivers):
+        for j in range(n):
+            out[b, j] = 0.0
         for r in range(first, last):
             i, j = r - first, r % n
             if not judged[b, j]:
@@ -103,7 +106,8 @@ class Cusum(InnovationTest):
         innovation, judged = self._without_bias(epoch)
         settings = (*self._rows, self.allowance)
         sums = self.memory["above"], self.memory["below"]
-        statistic = advance_sums(innovation, epoch.innovation_variance, judged, *settings, *sums)
+        signal, out = (innovation, epoch.innovation_variance, judged), np.empty(judged.shape)
+        statistic = advance_sums(*signal, *settings, *sums, out)
         return compare(statistic, self.limit)
 
 

@@ -210,6 +210,27 @@ def score(
 
 
 @njit
+def score_late(
+    first_alarm, b, hold, steps, step_count, detected, undetected, largest, values, marks
+):
+    """Score the time to alert of receiver b, which had no alarm before. `first_alarm`: its epoch in
+    that time, from 1 on, 0 without one; the others as in `score`."""
+    last, alarmed = min(step_count[b], steps), first_alarm > 0
+    counted = largest[find_last_counted(last + first_alarm, hold, steps), b]
+    values[RETRACTION, b] = counted - largest[last, b] if alarmed else 0.0
+    marks[FIRST, b] = alarmed
+    marks[ALARM, b] = marks[ALARM, b] or alarmed
+    detected[b] = alarmed
+    undetected[b] += values[RETRACTION, b]
+
+
+@njit
+def score_late_alarms(first_alarms, rows, *score):
+    for i in range(rows.shape[0]):
+        score_late(first_alarms[i], rows[i], *score)
+
+
+@njit
 def settle(
     rules,
     detected,

@@ -258,15 +258,10 @@ class DisplacementScore:
             by_then = np.where(alarmed, late.argmax(axis=0), len(late) - 1)
             so_far = np.logical_or.accumulate(of_twin, axis=0)
             self.twin_alarmed[rows] |= so_far[by_then, np.arange(len(rows))]
-        last = np.minimum(self.step_count[rows], self.steps)
-        first = last + 1 + late.argmax(axis=0)
-        counted = _kernels.select_undetected(np.take(self.largest, rows, axis=1), first, self.hold)
-        back = np.where(alarmed, counted - self.largest[last, rows], 0.0)
-        values[_kernels.RETRACTION, rows] = back
-        marks[_kernels.FIRST, rows] = alarmed
-        marks[_kernels.ALARM, rows] |= alarmed
-        self.detected[rows] = alarmed
-        self.undetected[rows] += back
+        first = np.where(alarmed, 1 + late.argmax(axis=0), 0)
+        lengths, memory = (self.hold, self.steps), (self.step_count, self.detected, self.undetected)
+        given = *lengths, *memory, self.largest, values, marks
+        _kernels.score_late_alarms(first, rows, *given)
 
 
 class FusedStep:

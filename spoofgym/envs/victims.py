@@ -226,6 +226,9 @@ class SpoofVectorEnv(CoreVectorEnv[SpoofCore]):
         the present one runs, with ``threads=1`` by one thread more.  The bits are the same, unless
         those of the detector depend on the size of the batch: runs with such a one are then not
         reproducible; see `Engine`.
+    device : {"cpu", "cuda"}, optional
+        ``"cuda"``, or ``"cuda:1"``: a `spoofgym.cuda.CudaVectorEnv` is returned instead, with
+        tensors of a GPU in and out, and arguments of its own.
     render_mode : None
         There is nothing to render.
     max_episode_steps : int, optional
@@ -243,6 +246,14 @@ class SpoofVectorEnv(CoreVectorEnv[SpoofCore]):
     >>> envs.close()
     """
 
+    def __new__(cls, *given: Any, device: str | None = None, **settings: Any) -> Any:
+        """An environment of this class, or on a device."""
+        if device in (None, "cpu"):
+            return super().__new__(cls)
+        from ..cuda import CudaVectorEnv  # the one place that needs its extra
+
+        return CudaVectorEnv(*given, device=device, **settings)
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -252,6 +263,7 @@ class SpoofVectorEnv(CoreVectorEnv[SpoofCore]):
         infos: InfoSpec = "all",
         threads: int | None = None,
         prefetch: bool | None = None,
+        device: str | None = None,
         render_mode: None = None,
         max_episode_steps: int | None = None,
         **settings: Any,

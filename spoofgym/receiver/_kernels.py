@@ -215,7 +215,7 @@ def show(a, w, base, b, some):
     P, u, seen = base + COVARIANCE, c + SIGHT * n, c + VISIBLE * n
     R = assumed_row(a, b // count_lanes(x)) + VARIANCE
     for each in range(some):
-        out[b + each] = a.epoch_time[w.index[0, each]]
+        out[b + each] = a.epoch_time[w.spans[0, each]]
         out[receivers + b + each] = lane(w.tau, 0, each)
         for s in range(n):
             a.visible[b + each, s] = lane(x, seen + s, each) > 0.0
@@ -289,9 +289,9 @@ def show_transition(terms, tau, index, Phi):
 @njit
 def sample(a, w, group, epoch, measured, base):
     """Measure a group's inertial samples of one interval, and mechanize them. Rows 1 and 2 of
-    `w.index` say where in `run` each lane's interval begins, and how many samples it has; lanes
+    `w.spans` say where in `run` each lane's interval begins, and how many samples it has; lanes
     with as many go together. Where `measured`, `run` has what the sensors gave."""
-    first, counts, start = w.index[1], w.index[2], w.index[3]
+    first, counts, start = w.spans[1], w.spans[2], w.spans[3]
     lanes, size = counts.shape[0], a.rules[3]
     sensor_base, key_row = group * (world.CHANNELS + 2 * a.visible.shape[1]), group * world.KEYS
     keys = load(a.keys, key_row + world.IMU_KEY), load(a.keys, key_row + world.IMU_KEY + 1)
@@ -341,9 +341,9 @@ Arrays = namedtuple(
     "x assumed out places visible coasting sensors constants keys epochs range_offset rate_offset "
     "authentic in_run run epoch_time epoch_end satellites rules signals mappings",
 )
-# Scratch memory of a thread, in lane arrays; `index` (4, lanes) int64.
+# Scratch memory of a thread, in lane arrays; `spans` (4, lanes) int64.
 Scratch = namedtuple(
-    "Scratch", "terms product solution force tau epoch noise sky added precision rest index"
+    "Scratch", "terms product solution force tau epoch noise sky added precision rest spans"
 )
 
 
@@ -360,6 +360,11 @@ def work_rows(channels: int, imu_size: int, gnss_size: int) -> int:
 
 @njit
 def name_scratch(a, work):
+    return divide_scratch(a, work, np.empty((4, count_lanes(a.x)), np.int64))
+
+
+@njit
+def divide_scratch(a, work, spans):
     n = a.visible.shape[1]
     terms, work = work[:TERMS], work[TERMS:]
     product, work = work[:PRODUCT_ROWS], work[PRODUCT_ROWS:]
@@ -368,9 +373,8 @@ def name_scratch(a, work):
     noise, work = work[: a.rules[4]], work[a.rules[4] :]
     sky, work = work[: SKY * n], work[SKY * n :]
     added, precision, work = work[: 4 * n], work[4 * n : 6 * n], work[6 * n :]
-    index = np.empty((4, count_lanes(a.x)), np.int64)
     return Scratch(
-        terms, product, solution, force, tau, epoch, noise, sky, added, precision, work, index
+        terms, product, solution, force, tau, epoch, noise, sky, added, precision, work, spans
     )
 
 
@@ -398,14 +402,14 @@ def predict_group(a, w, group, what):
     moves = 1 if what & PREDICT else 0
     for each in range(lanes):  # lanes without a receiver follow the last one
         k = a.epochs[min(b + each, receivers - 1)] + moves
-        w.index[0, each] = k
-        w.index[1, each] = a.epoch_end[k - moves]
-        w.index[2, each] = a.epoch_end[k] - a.epoch_end[k - moves]
+        w.spans[0, each] = k
+        w.spans[1, each] = a.epoch_end[k - moves]
+        w.spans[2, each] = a.epoch_end[k] - a.epoch_end[k - moves]
         set_lane(w.epoch, 0, each, float(k))
         set_lane(w.tau, 0, each, a.epoch_time[k] - a.epoch_time[k - moves])
     for each in range(some):
-        a.epochs[b + each] = w.index[0, each]
-    world.gather_sky(a.satellites, w.index[0], w.sky)
+        a.epochs[b + each] = w.spans[0, each]
+    world.gather_sky(a.satellites, w.spans[0], w.sky)
     tau, epoch = load(w.tau, 0), to_integer(load(w.epoch, 0))
     if what & MEASURE:
         for each in range(lanes):
@@ -438,7 +442,7 @@ def predict_group(a, w, group, what):
 def disturb_group(a, w, group, sensor_base, key_row, epoch, tau, picked_up):
     n, rest = a.visible.shape[1], w.rest[picked_up.shape[0] :]
     mapping, rest = rest[: MAPPINGS * n], rest[MAPPINGS * n :]
-    world.gather_mappings(a.mappings, w.index[0], mapping)
+    world.gather_mappings(a.mappings, w.spans[0], mapping)
     key0 = load(a.keys, key_row + world.CORRELATED_KEY)
     key1 = load(a.keys, key_row + world.CORRELATED_KEY + 1)
     size = -(-count_deviates(n) // BLOCK) * BLOCK

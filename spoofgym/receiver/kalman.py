@@ -416,14 +416,14 @@ def normalized_innovation_squared(innovation, innovation_cov, first, last):
     rows = (last - first + 1) * (last - first + 2) // 2
     part, belief = innovation[:, first:last], innovation_cov[:, first:last, first:last]
     if innovation.shape[0] == 1:
-        _square_all(part, belief, np.empty(rows), out)
+        square_all(part, belief, np.empty(rows), out)
     else:
-        _square_all(part, belief, np.empty((rows, LANES)), out)
+        square_all(part, belief, np.empty((rows, LANES)), out)
     return out
 
 
 @inline_njit
-def _square_all(innovation, innovation_cov, work, out):
+def square_all(innovation, innovation_cov, work, out):
     """All receivers, as many side by side as the lane array `work` has lanes. Its rows are the
     lower triangle of S, line after line, and z as one more line."""
     receivers, size = innovation.shape

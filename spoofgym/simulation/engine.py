@@ -44,7 +44,7 @@ def _warming(setup: Setup, rngs: Rngs) -> Iterator[Simulator]:
         yield simulator
 
 
-def _pool_rngs(rows: Rows) -> list[np.random.Generator]:
+def seed_pasts(rows: Rows) -> list[np.random.Generator]:
     seeds = (np.random.SeedSequence(POOL_SEED, spawn_key=(k,)) for k in rows.tolist())
     return [np.random.default_rng(seed) for seed in seeds]
 
@@ -210,7 +210,7 @@ class Engine:
         if len(lacking):
             rows = self._fill_lanes(lacking)
             part: Simulator = self.setup.simulator(len(rows), self._run)
-            part.warm_up(_pool_rngs(rows))
+            part.warm_up(seed_pasts(rows))
             self._pool.copy_rows(rows, part, np.arange(len(rows)))
             self._flown[rows] = True
         return self._pool
@@ -228,7 +228,7 @@ class Engine:
     @cached_property
     def _pool_ages(self) -> NDArray[np.int64]:
         """(M,) of all pasts at their onset [epochs]."""
-        keys = domain_keys(episode_seeds(_pool_rngs(np.arange(len(self._flown)))))
+        keys = domain_keys(episode_seeds(seed_pasts(np.arange(len(self._flown)))))
         return draw(self.setup.bounds, keys).age
 
     def predict(self, command: FloatArray | None) -> Epoch:

@@ -141,6 +141,28 @@ def to_integer(x: Any) -> Any:
     return view_bits(x + 2.0**52) & _MANTISSA
 
 
+@inline_njit
+def write_deviates(
+    counter: np.uint64,
+    epoch: np.uint64,
+    k0: np.uint64,
+    k1: np.uint64,
+    q: int,
+    n: int,
+    both: bool,
+    out: NDArray[np.float64],
+) -> None:
+    """Write what one counter gives into the rows q and n + q, and where `both`, two more."""
+    x, y = threefry(counter, epoch, k0, k1)
+    a, b = normal_pair(x)
+    store(out, q, a)
+    store(out, n + q, b)
+    if both:
+        a, b = normal_pair(y)
+        store(out, 2 * n + q, a)
+        store(out, 3 * n + q, b)
+
+
 @njit
 def deviates(
     k0: np.uint64, k1: np.uint64, epoch: np.uint64, size: int, count: int, out: NDArray[np.float64]
@@ -164,14 +186,7 @@ def deviates(
     k0, k1, epoch = pair_lanes(k0), pair_lanes(k1), pair_lanes(epoch)
     counters, n = load_pair(ahead, 0), n // each
     for q in range(0, min(n, -(-count // each)), 2):
-        x, y = threefry(counters + np.uint64(each * q), epoch, k0, k1)
-        a, b = normal_pair(x)
-        store(rows, q, a)
-        store(rows, n + q, b)
-        if both:
-            a, b = normal_pair(y)
-            store(rows, 2 * n + q, a)
-            store(rows, 3 * n + q, b)
+        write_deviates(counters + np.uint64(each * q), epoch, k0, k1, q, n, both, rows)
 
 
 @njit

@@ -1,0 +1,81 @@
+"""The library's own functions, compiled again for one thread of a device: no formula is repeated.
+
+Multiplications and additions are not contracted, so that IEEE arithmetic in double precision gives
+the bits of the processor: NVVM is told so at every compilation.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable
+from typing import Any
+
+from numba import cuda
+
+from ._lanes import REPLACED, SIMULATED
+
+_compiled: dict[Any, Any] = {}
+
+
+def on_device(function: Any) -> Any:
+    """The same function for one thread; what it calls is replaced likewise."""
+    source = getattr(function, "py_func", function)
+    if source not in _compiled:
+        copy, fill = _copy(REPLACED.get(source, source))
+        inline = bool(getattr(function, "targetoptions", {}).get("forceinline"))
+        of_thread = copy if SIMULATED else cuda.jit(copy, device=True, forceinline=inline)
+        _compiled[source] = of_thread  # before it is filled, since functions may call each other
+        fill()
+    return _compiled[source]
+
+
+def compile_kernel(function: Callable[..., None]) -> Any:
+    """A kernel that calls the library's functions as they are for a thread."""
+    forbid_contraction()
+    return cuda.jit(copy_kernel(function))
+
+
+def copy_kernel(function: Callable[..., None]) -> Any:
+    copy, fill = _copy(function)
+    fill()
+    return copy
+
+
+def _copy(source: Any) -> tuple[Any, Callable[[], None]]:
+    """A function without globals, and what gives it those of a thread."""
+    used, known = source.__code__.co_names, source.__globals__
+    own = {"__name__": source.__module__, "__builtins__": known["__builtins__"]}
+
+    def fill() -> None:
+        own.update({name: _replace(known[name], used) for name in used if name in known})
+
+    return types.FunctionType(source.__code__, own, source.__name__, source.__defaults__), fill
+
+
+def _replace(value: Any, used: tuple[str, ...]) -> Any:
+    if isinstance(value, types.ModuleType) and value.__name__.startswith("spoofgym."):
+        part = types.ModuleType(value.__name__)
+        for name in used:
+            if hasattr(value, name):
+                setattr(part, name, _replace(getattr(value, name), ()))
+        return part
+    plain = isinstance(value, types.FunctionType) and value.__module__.startswith("spoofgym.")
+    return on_device(value) if plain or hasattr(value, "py_func") else value
+
+
+def forbid_contraction() -> None:
+    """Let NVVM fuse no multiplication and addition from now on, but where fast math is chosen."""
+    if SIMULATED:
+        return
+    from numba.cuda.cudadrv import nvvm
+
+    compile_ir = nvvm.compile_ir
+    if hasattr(compile_ir, "contracts"):
+        return
+
+    def compile_exactly(llvmir: Any, **options: Any) -> Any:
+        exact = {} if options.get("fastmath") else {"fma": False}
+        return compile_ir(llvmir, **exact | options)
+
+    compile_exactly.contracts = False  # type: ignore[attr-defined]
+    nvvm.compile_ir = compile_exactly

@@ -1,0 +1,157 @@
+"""A device by numba's simulator: the bits of the processor, errors, and what is not there."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from spoofgym.envs import SpoofVectorEnv
+from spoofgym.envs.factory import make_core, select_victim
+from spoofgym.tasks import TASKS
+
+pytest.importorskip("torch")
+from spoofgym.cuda import supported
+
+ROOT = Path(__file__).resolve().parents[2]
+LINE = {"warmup_s": 2.0, "live_s": 2.0, "attack_s": 2.0, "time_to_alert_s": 1.0}
+FAST = {"timeline": LINE, "imu_rate_hz": 10}
+ORACLE = ["own-command", "time", "target-motion", "satellite-geometry", "gain-weight"]
+S1 = TASKS["S1"].env_kwargs
+EVENTS = {"clock_step": 0.3, "satellite_loss": 0.3, "front": 0.3, "within_s": 2.0}
+SKIES = {**S1["domain"], "age_s": [4.0, 7.0], "worlds": 3, "turns": 2, "events": EVENTS}
+AIRBORNE = {"scenario": S1["scenario"], "receiver": "matched", "timeline": LINE, "domain": SKIES}
+TACTICAL = {**FAST, "scenario": "zhong2025-tactical", "receiver": "matched"}
+WORLDS = {"zhong2025": FAST, "tactical": TACTICAL, "airborne": AIRBORNE}
+
+
+def detector(name, **settings):
+    return {"name": name, "thresholds": "nominal", **settings}
+
+
+LOUD = {"false_alarm": 0.02}  # so that some episodes end at an alarm
+DETECTORS = {
+    "never": "never",
+    "ewma": detector("ewma", **LOUD),
+    "passive ewma": detector("ewma", weight_scale=None),
+    "shewhart": detector("shewhart", **LOUD, signals="both"),
+    "cusum": {"name": "cusum", "threshold_scale": 0.35},
+    "snapshot-chi2": detector("snapshot-chi2", **LOUD),
+}
+ATTACKS = {
+    "false position": {"target_heading_deg": "random", "observation": [*ORACLE, "statistic-ratio"]},
+    "per channel": {"attack": "per-channel"},
+}
+CASES = [
+    {**world, "detector": each, **attack}
+    for world in WORLDS.values()
+    for name, each in DETECTORS.items()
+    for attack in ATTACKS.values()
+    if name != "never" or "observation" not in attack
+]
+
+
+def run(module, *arguments, simulated=True):
+    env = {**os.environ, "NUMBA_ENABLE_CUDASIM": "1" if simulated else "0"}
+    command = [sys.executable, "-W", "ignore", "-m", module, *arguments]
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout.splitlines()
+
+
+def test_a_receiver_has_the_bits_of_the_processor_over_a_reset():
+    case = {**FAST, "detector": DETECTORS["ewma"], **ATTACKS["false position"]}
+    (line,) = run("tests.cuda.parity", json.dumps([case]))
+    found = json.loads(line)
+    assert found["numbers"] > 1000
+    assert found["resets"] > 0
+
+
+@pytest.mark.nightly
+def test_worlds_detectors_and_attacks_have_the_bits_of_the_processor():
+    lines = run("tests.cuda.parity", json.dumps(CASES))
+    assert len(lines) == len(CASES)
+    assert all(json.loads(line)["resets"] > 0 for line in lines)
+
+
+@pytest.mark.nightly
+def test_kernels_are_compiled_for_three_architectures_without_contraction(tmp_path):
+    pytest.importorskip("numba_cuda")
+    arguments = tmp_path / "arguments.json"
+    arguments.write_text(run("tests.cuda.ptx", "types")[-1])
+    lines = run("tests.cuda.ptx", str(arguments), "8,0", "7,5", "9,0", simulated=False)
+    found = [json.loads(line) for line in lines]
+    assert {architecture for name, architecture, *_ in found if name == "play_step"} == {
+        "8,0",
+        "7,5",
+        "9,0",
+    }
+    assert all(fused == 0 for *_, fused in found)
+
+
+def test_bad_input_is_refused():
+    assert run("tests.cuda.refused")[-1] == "refused"
+
+
+def test_the_package_needs_no_compiler_for_devices():
+    script = "import sys, spoofgym.envs; print([m for m in ('numba_cuda', 'torch', "
+    script += "'spoofgym.cuda') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_device_without_its_extra_is_an_error_that_names_it():
+    try:
+        import numba_cuda  # noqa: F401
+    except ImportError:
+        with pytest.raises(ImportError, match=r"spoofgym\[cuda\]"):
+            SpoofVectorEnv(2, device="cuda")
+    with pytest.raises(ValueError, match="device"):
+        SpoofVectorEnv(2, device="tpu")
+
+
+def test_drivers_that_are_missing_or_old_are_errors():
+    driver = SimpleNamespace(get_version=lambda: (12, 4))
+    old = SimpleNamespace(cudadrv=SimpleNamespace(driver=SimpleNamespace(driver=driver)))
+    with pytest.raises(RuntimeError, match="finds none"):
+        supported.check_driver(SimpleNamespace(is_available=lambda: False))
+    with pytest.raises(RuntimeError, match=r"finds one of CUDA 12\.4"):
+        supported.check_driver(SimpleNamespace(is_available=lambda: True, **vars(old)))
+
+
+def test_too_many_receivers_are_an_error_with_the_largest_number():
+    with pytest.raises(ValueError, match="free: at most 95"):
+        supported.check_free_memory(96, 2**20, 100 * 2**20)
+    supported.check_free_memory(95, 2**20, 100 * 2**20)
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"detector": detector("joint-chart")}, "detector JointChart"),
+        ({"detector": detector("shewhart", weight_scale=0.3)}, "weight_scale"),
+        ({"detector": detector("ewma", min_satellites=5)}, "min_satellites"),
+        ({"detector": detector("cusum", bias_window_s=0.5)}, "bias_window_s"),
+        ({"detector": detector("snapshot-chi2", two_sided=True)}, "two_sided"),
+        ({"attack": "meaconer"}, "attack 'meaconer'"),
+        ({"attack": "quiet"}, "errors of its own"),
+        ({"twin": True, "watch": ["cusum"], "epoch": True}, "`watch`, `epoch`, `twin`"),
+        ({"decision_interval_s": 1.0}, "`decision_interval_s`"),
+        ({"knowledge": "oracle"}, "observation term EstimateError"),
+        ({"end": ["at-alarm", {"name": "at-steps", "steps": 2}]}, "`end`"),
+    ],
+)
+def test_a_setting_that_is_not_there_is_named(settings, named):
+    settings = {**FAST, "detector": "never", **settings}
+    core = make_core(select_victim("tightly-coupled"), 1, settings)
+    with pytest.raises(ValueError, match="device='cuda' does not have .*" + named):
+        supported.check_supported(core)
+
+
+def test_another_victim_is_not_there():
+    core = make_core(select_victim("snapshot"), 1, {})
+    with pytest.raises(ValueError, match="only a tightly coupled receiver"):
+        supported.check_supported(core)
