@@ -194,10 +194,11 @@ def record_from(
     setup, arrays = simulator.setup, list[NDArray[Any]]()
     for k in range(setup.steps + setup.hold):
         epoch = simulator.advance()
-        P, H, S = (getattr(epoch, name) for name in ("predicted_cov", "design", "innovation_cov"))
+        named = "transition", "predicted_cov", "design", "innovation_cov"
+        F, P, H, S = (getattr(epoch, name) for name in named)
         solved = np.linalg.solve(S, H @ P)  # the gain, transposed
         visible, axes = epoch.visible.astype(np.bool_), setup.C_en[simulator.epochs]
-        parts = epoch.transition, H, solved, S, visible, axes
+        parts = F, H, solved, S, visible, axes
         if not arrays:
             arrays = [
                 np.empty((len(x), setup.steps + setup.hold, *x.shape[1:]), x.dtype) for x in parts

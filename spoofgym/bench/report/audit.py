@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -178,6 +179,10 @@ def _exceeded(found: Row, part: str) -> str:
     return "-" if (x := found[part]["value"]) is None else format_number(x)
 
 
+def _both_exceeded(name: str, row: Row) -> str:
+    return ", ".join(_exceeded(row["others"][name], part) for part in (HALF, FEW))
+
+
 def format_reach(audit: Row) -> list[str]:
     """Lines of a spoofer's screen, without the answer."""
     rows, floor = audit["detectors"], audit["floor_m"]
@@ -187,13 +192,7 @@ def format_reach(audit: Row) -> list[str]:
         ("false alarms /h", lambda row: metres(row["false_alarms_per_hour"]["value"])),
         ("in 50 % of runs [m]", lambda row: own(row) + ("" if row["within_budget"] else OVER)),
         ("in 5 % [m]", lambda row: _exceeded(row["exceeded_m"], FEW)),
-        *(
-            (
-                f"{name} 50, 5 %",
-                lambda row, x=name: ", ".join(_exceeded(row["others"][x], y) for y in (HALF, FEW)),
-            )
-            for name in rows[0]["others"]
-        ),
+        *((f"{name} 50, 5 %", partial(_both_exceeded, name)) for name in rows[0]["others"]),
     )
     widths = WIDTHS[: 4 + len(rows[0]["others"])]
     limits = "not known"
