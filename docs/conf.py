@@ -24,6 +24,9 @@ CONTENTS = """
 :hidden:
 :caption: Start
 docs/README
+docs/tutorials/what_a_detector_misses
+docs/tutorials/train_a_spoofer
+docs/tutorials/audit_a_detector
 docs/environments
 docs/catalogue
 docs/command_line
@@ -107,7 +110,7 @@ CHANGELOG
 """
 
 project, author, version = "spoofgym", "The spoofgym developers", spoofgym.__version__
-extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
+extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
 root_doc = "README"
 exclude_patterns = [each.name for each in ROOT.iterdir() if each.name not in PAGES]
 html_theme = "furo"
@@ -118,6 +121,7 @@ html_css_files = ["site.css"]
 html_static_path = ["static"]
 
 myst_heading_anchors = 3
+nb_execution_mode = "off"  # tutorials hold what they printed
 myst_enable_extensions = ["dollarmath"]
 html_math_renderer = "mathml"
 

@@ -40,6 +40,11 @@ class LearnedSpoofer(Spoofer):
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
         """Command the coming epoch: (B, a) in [-1, 1]."""
+        if np.ndim(observation) != 2:
+            raise ValueError(
+                f"observations must be (B, o), not {np.shape(observation)}: a single environment "
+                "plays act(observation[None])[0]"
+            )
         given = self._decide(observation)
         return given if self._base is None else self._base.add(observation, given)
 

@@ -59,6 +59,7 @@ class Auditor(AuditPlan):
         """Cells of a detector, which is calibrated first; `say` is given how long both take. A
         foreign one that is given as text has a process of its own."""
         detector = isolate(detector) if isinstance(detector, str | Mapping) else detector
+        detector = detector_in_world(detector) if isinstance(detector, type) else detector
         judge, worlds = detector_in_world(detector), self.worlds  # whose process all below share
         (entry,), world = specify_detectors([detector]), worlds.world.setup
         bare, missing = unwrap(bare_detector(detector)), 0
@@ -103,10 +104,10 @@ def audit(
 
     Parameters
     ----------
-    detector : str, mapping or Detector
-        As `make_detector` takes it, at 0.2 false alarms an hour where it requests none; the
-        thresholds are those of the task's world everywhere.  ``"module:Class"`` runs in a process
-        of its own; an object, in this one.
+    detector : str, mapping, Detector or type
+        As an environment takes it: a name or a class is at 0.2 false alarms an hour where it
+        requests no thresholds, an object keeps its own.  Thresholds are those of the task's world
+        everywhere.  ``"module:Class"`` runs in a process of its own; others, in this one.
     task : str or DetectorTask
         ``"D1"`` to ``"D3"``, ``"v1/D1"`` to ``"v1/D4"``, or one of your own.
     budget : {"standard", "quick", "full"}
