@@ -186,11 +186,13 @@ def _both_exceeded(name: str, row: Row) -> str:
 def format_reach(audit: Row) -> list[str]:
     """Lines of a spoofer's screen, without the answer."""
     rows, floor = audit["detectors"], audit["floor_m"]
-    own = lambda row: interval(row["exceeded_m"][HALF])  # noqa: E731
     table = Table(
         ("detector", lambda row: shorten_label(row["detector"]).replace(",", ", ")),
         ("false alarms /h", lambda row: metres(row["false_alarms_per_hour"]["value"])),
-        ("in 50 % of runs [m]", lambda row: own(row) + ("" if row["within_budget"] else OVER)),
+        (
+            "in 50 % of runs [m]",
+            lambda row: interval(row["exceeded_m"][HALF]) + ("" if row["within_budget"] else OVER),
+        ),
         ("in 5 % [m]", lambda row: _exceeded(row["exceeded_m"], FEW)),
         *((f"{name} 50, 5 %", partial(_both_exceeded, name)) for name in rows[0]["others"]),
     )
