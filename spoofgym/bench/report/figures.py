@@ -207,11 +207,13 @@ def _plain(label: str) -> str:
 
 
 def _scale_metres(ax: Axes, name: str) -> None:
-    """Logarithmic axis of displacements, in plain numbers."""
+    """Logarithmic axis of displacements, in plain numbers; linear where all are zero."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    getattr(ax, f"set_{name}scale")("log")
     axis = getattr(ax, f"{name}axis")
+    if not axis.get_data_interval()[1] > 0.0:
+        return
+    getattr(ax, f"set_{name}scale")("log")
     low, high = axis.get_view_interval()
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 500.0 * low else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -15,10 +16,12 @@ from spoofgym.bench.experiments import Store
 from spoofgym.bench.experiments.store import OUTPUTS, Cell, Result
 from spoofgym.bench.report.campaign_page import build_page, choose_worst_run, replay_worst
 from spoofgym.bench.report.detector_page import build_scores_page, load_families
+from spoofgym.bench.report.figures import Line, draw_lines
 from spoofgym.bench.report.game_page import build_game_page
 from spoofgym.bench.report.page import MOST_BYTES, load_replay, render_page, write_page
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, RunRecord, Winner
 from spoofgym.bench.scores.detector import DetectorScore
+from spoofgym.core.plots import figure_class
 from spoofgym.detectors import DETECTORS, Ewma
 
 from ..support import RAMP, small_suite
@@ -205,3 +208,13 @@ def test_in_a_browser_tables_sort_the_slider_plays_and_no_request_leaves(
     assert found["requests"] == 0
     assert found["wide"][0] <= found["wide"][1] <= width
     assert found["paper"] == ("rgb(22, 24, 28)" if dark else "rgb(255, 255, 255)")
+
+
+def test_curves_that_are_zero_everywhere_are_drawn_on_a_plain_axis(tmp_path):
+    figure = figure_class()()
+    axes = figure.subplots()
+    draw_lines([Line("silent", [0.0, 60.0], [0.0, 0.0])], "time [s]", "found", log="y")(axes)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        figure.savefig(tmp_path / "x.svg")
+    assert axes.get_yscale() == "linear"
