@@ -19,7 +19,10 @@ SHOWN = {
     "{eval-rst}": "`make docs` builds them",
 }
 """Languages of blocks that are nothing to run, and what they are."""
-NEEDS = {"ray": "`make test-ray` runs them, in an environment of its own"}
+NEEDS = {
+    "numba_cuda": "a machine with a GPU runs them",
+    "ray": "`make test-ray` runs them, in an environment of its own",
+}
 """What blocks of Python need that the environment of the tests can't have, and who runs them."""
 CODE_FIRST = {"docs/catalogue.md": "its commands play the file that its code writes"}
 BESIDE = {

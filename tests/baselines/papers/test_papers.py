@@ -31,7 +31,8 @@ def test_parts_have_names_of_their_own_and_can_be_run_elsewhere(key):
 def test_every_other_link_of_the_index_leads_somewhere():
     docs = DOCS.parent
     targets = re.findall(r"\]\(([^)#:]+)\)", (docs / "README.md").read_text())
-    pages = {path.relative_to(docs).as_posix() for path in docs.rglob("*.md")} - {"README.md"}
+    files = [path for path in docs.rglob("*") if path.suffix in (".md", ".ipynb")]
+    pages = {path.relative_to(docs).as_posix() for path in files} - {"README.md"}
     own = ("api/", "environments/")  # which have an index of their own
     listed = {page for page in pages if page == "api/README.md" or not page.startswith(own)}
     assert sorted(targets) == sorted(listed)
