@@ -17,7 +17,7 @@ from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
 from spoofgym.bench.scores.audit import AgeProbe, Audit
 from spoofgym.bench.scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
 from spoofgym.bench.scores.scores import SHARES
-from spoofgym.detectors import Calibrated
+from spoofgym.detectors import Calibrated, Never
 from spoofgym.tasks import EVENTS
 
 from ..outside.detectors import AverageRate, BlindAfterFiveMinutes, GrowingThreshold
@@ -268,3 +268,13 @@ def test_flaws_of_detectors_from_outside_stand_in_words_in_the_first_task(kind, 
     aged = [text for text in found.warnings if "switch" in text]
     assert len(aged) == (words is not None)
     assert words is None or words in aged[0]
+
+
+def test_a_class_is_audited_as_its_name_is():
+    sizes = {"runs": 4, "selection_runs": 4, "families": ["dashes"], "entropy": 1}
+    named, given = (
+        spoofgym.audit(each, small_task(), "quick", **sizes).as_dict() for each in ("never", Never)
+    )
+    assert named["p_hmi"] == given["p_hmi"]
+    assert named["exceeded_m"] == given["exceeded_m"]
+    assert named["detector"] == given["detector"]

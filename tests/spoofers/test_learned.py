@@ -57,6 +57,13 @@ def test_it_does_what_the_network_says(tmp_path):
     check_spoofer(str(path))
 
 
+def test_an_observation_of_a_single_environment_is_refused_with_what_to_do(tmp_path):
+    policy = bound(write_policy(tmp_path))
+    seen = observations(3, len(policy.card.observation.names))
+    with pytest.raises(ValueError, match=r"must be \(B, o\), not .*act\(observation\[None\]\)"):
+        policy.act(seen[0])
+
+
 @pytest.mark.parametrize(("inputs", "width"), [(6, 16), (61, 33)])
 def test_the_bits_do_not_depend_on_the_batch(inputs, width, tmp_path):
     names = tuple(f"element_{k}" for k in range(inputs))
