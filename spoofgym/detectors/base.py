@@ -123,7 +123,7 @@ class Detector(ABC):
     Attributes
     ----------
     paper : str
-        Key in references.bib.
+        Key in references.bib; a detector from outside the package needs none.
     needs : frozenset of str
         Optional fields of `Epoch` that it reads; a field is None unless some `needs` names it.
     scope : {"channel", "receiver"}
@@ -172,7 +172,7 @@ class Detector(ABC):
         a threshold above 0 and no alarm.
     """
 
-    paper: ClassVar[str]
+    paper: ClassVar[str] = ""
     needs: ClassVar[frozenset[str]] = frozenset()
     scope: ClassVar[str] = "receiver"
     measures: ClassVar[str] = "satellites"

@@ -59,7 +59,6 @@ def test_every_detector_keeps_the_contract(detector):
 class Sum(Detector):
     """A detector that does all as it should: a cumulative sum that weighs channels down."""
 
-    paper = "page1954"
     scope = "channel"
 
     def bind(self, context):
