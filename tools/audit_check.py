@@ -12,9 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from spoofgym.bench.experiments.audit import Auditor
+from spoofgym.bench.experiments.audit import Auditor, audit
 from spoofgym.bench.experiments.suite import list_task_detectors
-from spoofgym.bench.scores.audit import Audit
 from spoofgym.bench.scores.scores import SHARES
 from spoofgym.cli.app import progress
 from spoofgym.core.registry import format_label
@@ -40,16 +39,13 @@ def list_costs(task: DetectorTask, names: list[str]) -> list[tuple[float, Any]]:
     return sorted(found, key=lambda each: each[0])
 
 
-def play_audit(task: DetectorTask, spec: Any, size: str, out: Path) -> Audit:
-    auditor = Auditor(task, size, threads=1, folder=out / size)
-    cells = auditor.prepare(spec, progress)
-    return cells.conclude(auditor.run(cells, progress))
-
-
 def check_detector(task: DetectorTask, spec: Any, out: Path) -> Row:
     """What is exceeded in half of the runs, by both sizes, and whether the interval holds."""
-    found = {size: play_audit(task, spec, size, out) for size in SIZES}
-    row: Row = {size: audit.figures["exceeded_m"][HALF] for size, audit in found.items()}
+    sizes: dict[str, dict[str, Any]] = {
+        size: {"folder": out / size, "threads": 1} for size in SIZES
+    }
+    found = {size: audit(spec, task, size, progress=progress, **x) for size, x in sizes.items()}
+    row: Row = {size: each.figures["exceeded_m"][HALF] for size, each in found.items()}
     quick, value = row["quick"], row["standard"]["value"]
     contains = quick["low"] <= value <= quick["high"]
     return {"detector": found["quick"].score.detector, **row, "contains": contains}

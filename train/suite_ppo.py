@@ -146,8 +146,8 @@ def train(settings: Settings, case: str, base: dict[str, Any], seed: int) -> dic
         model.policy.load_state_dict(weights)
         row["file"] = f"{TASK.lower()}-{case}-{seed}.onnx"
         SHIPPED.mkdir(exist_ok=True)
-        told = {**row, "decided_on": [[CHOICE, "evaluation"]]}
-        spoofgym.export.onnx(model, model.get_env(), SHIPPED / row["file"], training=told)
+        origin = {**row, "decided_on": [[CHOICE, "evaluation"]]}
+        spoofgym.export.onnx(model, model.get_env(), SHIPPED / row["file"], training=origin)
     model.get_env().close()
     return row
 
@@ -160,9 +160,9 @@ def score_policy(path: Path, runs: int) -> dict[str, Any]:
     judge = make_judge(label, runs, FINAL)
     kept, base = judge.fit(str(path)), judge.fit(correct_nothing(OPEN_LOOP, term["spoofer"]))
     ratio = ratio_at_budget(kept.trace, base.trace, BUDGET).as_json()
-    told = {name: card.training[name] for name in ("seed", "price_m", "steps", "choice_m")}
+    origin = {name: card.training[name] for name in ("seed", "price_m", "steps", "choice_m")}
     scores = {"score": kept.at_budget, "base": base.at_budget, "ratio": ratio}
-    return {"detector": label, "file": path.name, **told, **scores, "amplitude": kept.value}
+    return {"detector": label, "file": path.name, **origin, **scores, "amplitude": kept.value}
 
 
 def list_parts(settings: Settings) -> dict[str, Part]:
