@@ -22,7 +22,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "cuda.md"
 
 def play_the_page() -> None:
     """Its code, with two receivers and a short flight."""
-    (code,) = re.findall(r"```py\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
     assert "num_envs=4096" in code
     small = {"num_envs": 2, "pasts": 2, "timeline": LINE, "imu_rate_hz": 10}
     given = ", ".join(f"{name}={value!r}" for name, value in small.items())
