@@ -291,9 +291,7 @@ def audit_spoofer(text: str, options: AuditOptions) -> Audited:
             spoofers=[player.spec, *others],
             runs=size.runs,
             entropy=entropy,
-            tuning=make_tuning(
-                size.training_runs, 0.05, rule="exact", generations=size.generations
-            ),
+            tuning=make_tuning(size.training_runs, 0.05, rule="exact", quick=size.quick),
             floor_worlds=size.floor_worlds,
         )
         try:

@@ -140,7 +140,7 @@ def bench(
             size.training_runs,
             alarm_budget,
             rule=rule or get_rule(task),
-            generations=size.generations,
+            quick=size.quick,
         ),
         selection=make_selection(size.selection_runs),
         floor_worlds=size.floor_worlds,

@@ -234,9 +234,9 @@ def draw_worlds(
     check_linear_victim(setup)
     advance = tick or (lambda part: None)
     seeds = seeds_of_runs(entropy, "selection", setup.name, range(worlds))
+    runs = record(setup, make_generators([unused_seed(seed) for seed in seeds]))
     cases = []
-    for seed in seeds:
-        run = record(setup, make_generators([unused_seed(seed)]))[0]
+    for seed, run in zip(seeds, runs, strict=True):
         commands = unit_commands(setup, run.onset).in_hats(HATS)
         cases.append(WorldSample(run, make_attacker(commands, run, get_heading(setup)), seed))
         advance(1.0 / worlds)
@@ -341,18 +341,16 @@ def _separation(
     scale = detector.scale if isinstance(detector, Calibrated) else 1.0
     if scale is None:
         raise ValueError("the factor on the thresholds is not known yet")
-    attack_s, bounds = setup.steps * setup.interval_s, []
-    for case in cases:
-        simulator = observer(setup, 1, inner.needs, [PassiveDetectors([inner])])
-        bank = cast(SolutionSeparation, simulator.monitor(PassiveDetectors).detectors[0])
-        why = _explain_unbounded(setup, bank, attack_s)
-        if why:
-            return ZeroAlarm(None, None, "", why, [])
-        simulator.warm_up(make_generators([unused_seed(case.seed)]))
-        for _ in range(setup.steps):
-            simulator.step(attacked=False)
-        bounds.append(math.sqrt(scale) * float(bank.bound_m(attack_s)[0]))
-    mean = float(np.mean(bounds))
+    attack_s = setup.steps * setup.interval_s
+    simulator = observer(setup, len(cases), inner.needs, [PassiveDetectors([inner])])
+    bank = cast(SolutionSeparation, simulator.monitor(PassiveDetectors).detectors[0])
+    why = _explain_unbounded(setup, bank, attack_s)
+    if why:
+        return ZeroAlarm(None, None, "", why, [])
+    simulator.warm_up(make_generators([unused_seed(case.seed) for case in cases]))
+    for _ in range(setup.steps):
+        simulator.step(attacked=False)
+    mean = float(np.mean(math.sqrt(scale) * bank.bound_m(attack_s)))
     return ZeroAlarm(mean, mean, "upper" if math.isfinite(mean) else "unbounded", "", [])
 
 

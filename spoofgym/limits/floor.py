@@ -35,7 +35,7 @@ for benchmarks alone: no detector may see what the analyst knows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -173,6 +173,20 @@ class Analyst:
             AnalystRun(as_it_happens(run, world), own)
             for run, own in zip(runs, coasting, strict=True)
         ]
+
+
+def _record_pairs(
+    setup: TightlyCoupledSetup, analyst: Analyst, entropy: int, count: int, every_sky: bool
+) -> Iterator[tuple[LinearRun, AnalystRun]]:
+    """Victim and analyst of runs, two at a time: more take more memory, and the kernels of a single
+    receiver would be compiled for this alone."""
+    for first in range(0, count, 2):
+        numbers = range(first, min(first + 2, count))
+        given = {"world": np.array(numbers)} if every_sky else None
+        draw = lambda: make_generators(  # noqa: E731
+            seeds_of_runs(entropy, "selection", setup.name, numbers)  # noqa: B023
+        )
+        yield from zip(record(setup, draw(), given), analyst.record(draw(), given), strict=True)
 
 
 def _grade(setup: TightlyCoupledSetup) -> str:
@@ -446,12 +460,7 @@ def compute_frontier(
     analyst = Analyst(setup, sensors_known=sensors_known)
     found: list[WorldFrontier] = []
     matrices, coasting, course = [], [], []
-    for run in range(count):
-        seeds = seeds_of_runs(entropy, "selection", setup.name, [run])
-        given = {"world": run} if worlds is None else None
-        victim = record(setup, make_generators(seeds), given)[0]
-        again = seeds_of_runs(entropy, "selection", setup.name, [run])
-        its_analyst = analyst.record(make_generators(again), given)[0]
+    for victim, its_analyst in _record_pairs(setup, analyst, entropy, count, worlds is None):
         commands = unit_commands(setup, victim.onset).in_hats(HATS)
         if np.any(commands.idle):
             raise ValueError(

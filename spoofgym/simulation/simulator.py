@@ -471,7 +471,9 @@ class Simulator(ABC):
 
     def ageing(self, past: int = 0) -> Iterator[tuple[Self, Rows, int]]:
         """Receivers that are to go on together, their rows here, and by how many epochs, until each
-        is at its onset, `past` epochs after the start. Those that are there stay as they are."""
+        is at its onset, `past` epochs after the start. Those that are there stay as they are. The
+        last one has company to the end, since the kernels of a single receiver are others, which
+        would be compiled for it alone."""
         left, rows = self.ages - past, np.arange(self.receivers)
         if (left == left[0]).all():
             yield self, rows, int(left[0])
@@ -482,6 +484,8 @@ class Simulator(ABC):
             gone, there = end, np.flatnonzero(left[rows] == end)
             self.copy_rows(rows[there], part, there)
             young = np.flatnonzero(left[rows] > end)
+            if len(young) == 1:
+                young = np.append(young, there[:1])
             if 0 < len(young) <= (1.0 - DROPPED) * len(rows):
                 part, rows = part._copy(young), rows[young]
 
@@ -613,8 +617,9 @@ def run_serially(work: Callable[[int, int], None], receivers: int) -> None:
 
 
 def weighs(setup: Setup, detector: Detector) -> bool:
-    """Whether a detector de-weights measurements in this world: its first verdict says so."""
+    """Whether a detector de-weights measurements in this world: its first verdict says so. Two
+    receivers step, since the kernels of a single one would be compiled for this alone."""
     chosen = setup.copy_with(detector=detector, monitors=())
-    simulator: Simulator = chosen.simulator(1, run_serially)
-    simulator.switch_on(make_generators(seeds_of_runs(0, "calibration", setup.name, [0])))
+    simulator: Simulator = chosen.simulator(2, run_serially)
+    simulator.switch_on(make_generators(seeds_of_runs(0, "calibration", setup.name, [0, 1])))
     return simulator.step(attacked=False).weights is not None

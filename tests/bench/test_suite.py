@@ -180,13 +180,13 @@ def test_a_budget_scales_everything_and_sizes_come_before_it(monkeypatch):
         suite = played(monkeypatch, *options)
         tuning, selection = suite.tuning, suite.selection
         chosen = selection and selection.runs
-        return suite.runs, tuning.runs, chosen, tuning.generations, suite.floor_worlds
+        return suite.runs, tuning.runs, chosen, tuning.quick, suite.floor_worlds
 
     assert sizes() == standard.BUDGETS["standard"]
     assert sizes("--budget", "quick") == standard.BUDGETS["quick"]
-    assert all(np.diff([each[:4] for each in standard.BUDGETS.values()], axis=0).ravel() >= 0)
+    assert all(np.diff([each[:3] for each in standard.BUDGETS.values()], axis=0).ravel() >= 0)
     given = ["--runs", "40", "--selection-runs", "0", "--training-runs", "60"]
-    assert sizes("--budget", "full", *given) == (40, 60, None, 60, None)
+    assert sizes("--budget", "full", *given) == (40, 60, None, False, None)
     other = played(monkeypatch, "--budget", "quick", "--set", "domain={}").tuning.as_dict()
-    assert other["generations"] == standard.BUDGETS["quick"].generations
-    assert "generations" not in played(monkeypatch).tuning.as_dict()  # as it was before budgets
+    assert other["quick"]
+    assert "quick" not in played(monkeypatch).tuning.as_dict()  # as it was before budgets

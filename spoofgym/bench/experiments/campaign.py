@@ -49,7 +49,9 @@ FLOOR, SEARCH, RUNS, PROTECTION, BOUND = "floor", "search", "runs", "protection"
 """Kinds of cells: of the world, of a detector and a spoofer, of a detector."""
 ATTACK_SUITE = "attack suite"
 Labelled = PlayerSpec | str | None
-PANEL = 4  # passive detectors that share passes; they are finished together, and by one process
+PANEL, FEWEST = 4, 2
+"""Passive detectors that share passes, at most: they are finished together, and by one process;
+and groups of them at least, so that two processors have work."""
 WARM_UP = 2.0  # work of a warm-up and of the clean twins, in runs of an attack
 
 
@@ -277,7 +279,7 @@ class Campaign(Experiment):
             judge = entry.build()
             resolve_thresholds(judge, setup)
             (others if weighs(setup, judge) else passive).append(entry)
-        count = -(-len(passive) // PANEL)
+        count = max(-(-len(passive) // PANEL), min(len(passive), FEWEST))
         return [*(passive[k::count] for k in range(count)), *([entry] for entry in others)]
 
     @cached_property

@@ -41,7 +41,7 @@ from ..runs.players import (
     specify_spoofer,
 )
 from ..runs.world import CONTROLS, WORLD, World
-from ..search.amplitude import EXACT, GENERATIONS, Tuning
+from ..search.amplitude import EXACT, Tuning
 from ..search.attack_suite import (
     NAME,
     VERSION,
@@ -332,17 +332,17 @@ TESTS = ("ewma", "joint-chart", "snapshot-chi2", "raim")
 
 class Budget(NamedTuple):
     """How much is played: runs that are scored, that tune, and that choose the worst attack (0 for
-    none), generations of searches, and worlds of the floor (None for one under every sky)."""
+    none), whether searches are quick, and worlds of the floor (None for one under every sky)."""
 
     runs: int
     training_runs: int
     selection_runs: int
-    generations: int = GENERATIONS
+    quick: bool = False
     floor_worlds: int | None = None
 
 
 BUDGETS = {
-    "quick": Budget(96, 64, 24, 8, 4),
+    "quick": Budget(64, 64, 16, True, 2),
     "standard": Budget(256, 256, 48),
     "full": Budget(1000, 256, 192),
 }

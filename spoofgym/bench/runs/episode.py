@@ -6,6 +6,7 @@ import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -123,11 +124,12 @@ def play_episode(
 ) -> Episode:
     run = whole_number("`run`", run)
     setup = world.build_setup(detector, [spoofer])
-    engine = Engine(1, setup, threads=1, twin=True)
+    engine = Engine(2, setup, threads=1, twin=True)  # alike: see `Simulator.ageing`
     simulator, twin = engine.simulator, engine.twin
     assert twin is not None  # `twin=True` above
-    everyone, epochs = np.zeros(1, dtype=np.intp), setup.steps + setup.hold
-    simulator.switch_on(world.generators(entropy, "evaluation", run + 1, run))
+    everyone, epochs = np.arange(2), setup.steps + setup.hold
+    draw = partial(world.generators, entropy, "evaluation", run + 1, run)
+    simulator.switch_on([*draw(), *draw()])
     live = int(simulator.ages[0]) - setup.filter_only
     ratio = np.zeros((live + epochs, 2))
     alarm = np.zeros(ratio.shape, dtype=np.bool_)

@@ -245,8 +245,11 @@ class Panel:
         """What a detector makes of some runs, each under an attack of its own, `which` (r,) of the
         specs; runs are left once they have alarmed."""
         alone = len(self.judges) > 1 and sees_statistics(make_spoofer(specs[0]).knowledge)
+        count = len(rows)
+        if count == 1:  # as in `Simulator.ageing`
+            rows, which = np.repeat(rows, 2), np.repeat(which, 2)
         start = self._start((number,), alone, PanelAttack(specs[0], len(rows)), rows)
-        return play_side_by_side(start, specs, which, drop_alarmed=True)[0]
+        return play_side_by_side(start, specs, which, drop_alarmed=True)[0].first(count)
 
     def at_thresholds(self, number: int, factor: float, runs: int) -> Panel:
         """The first runs with the thresholds of one of the detectors so many times as high, from

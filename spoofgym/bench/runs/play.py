@@ -389,8 +389,10 @@ def play_side_by_side(
                 if tick is not None:
                     tick((epochs - k - 1) / epochs)
                 break
-            if open_.mean() <= 1.0 - DROP_PART:
-                open_rows = np.flatnonzero(open_)
+            open_rows = np.flatnonzero(open_)
+            if len(open_rows) == 1:  # as in `Simulator.ageing`
+                open_rows = np.append(open_rows, np.flatnonzero(~open_)[:1])
+            if len(open_rows) <= (1.0 - DROP_PART) * len(open_):
                 attacker.go_on_with(start.extract(attacker.engine, open_rows), open_rows)
                 rows = rows[open_rows]
     return [

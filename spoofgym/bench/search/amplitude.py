@@ -34,8 +34,6 @@ from ..scores.statistics import BUDGET, build_log_grid, fewest_runs, rounded_dow
 RULES = UPPER_LIMIT, EXACT = "upper-limit", "exact"
 """How an amplitude is fitted to the alarm budget: by the upper 95 % limit of the alarm rate on
 training runs, or to exactly the budget on the runs that are scored (`alarm_amplitude`)."""
-GENERATIONS = 60
-"""Of a search for an open-loop attack."""
 EXACT_PLAYS = 10.0  # of each run that an exact search takes, roughly
 RESOLUTION = 1.02
 """Ratio of the smallest value known to be over the budget to the largest one known to keep it."""
@@ -69,16 +67,15 @@ class Tuning:
         one_of=RULES,
         help="Whether the budget is kept by the upper limit of the alarm rate, or met exactly.",
     )
-    generations: int = setting(
-        default=GENERATIONS,
-        least=0,
+    quick: bool = setting(
+        default=False,
         omitted=True,
-        help="Generations of a search for an open-loop attack.",
+        help="Whether an open-loop attack is looked for on few runs, for the alarm budget alone.",
     )
 
     def as_dict(self) -> dict[str, Any]:
         """Settings, JSON-able; two of them where they are not the default, which is older."""
-        left_out = {("rule", UPPER_LIMIT), ("generations", GENERATIONS)}
+        left_out = {("rule", UPPER_LIMIT), ("quick", False)}
         return {key: x for key, x in asdict(self).items() if (key, x) not in left_out}
 
     @property

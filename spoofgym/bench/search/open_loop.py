@@ -47,7 +47,6 @@ from ..scores.statistics import aim
 from .alarm_amplitude import tune_at_budget
 from .amplitude import (
     EXACT,
-    GENERATIONS,
     Tuning,
     TuningResult,
     search_work,
@@ -99,7 +98,7 @@ class OpenLoopSearch:
     knots: int = setting(default=12, least=2, most=MOST_KNOTS, help="Knots of the curve.")
     population: int = setting(default=12, least=4, help="Size of a generation of CMA-ES.")
     generations: int = setting(
-        default=GENERATIONS,
+        default=60,
         least=0,
         help="Generations of CMA-ES; 0 for the best of the first curves.",
     )
@@ -366,6 +365,8 @@ RUNS_EACH = 4  # runs that are searched on at most for each that amplitudes are 
 SHARED_STREAM = 0x5C  # of the seed of a search, for the circumstances that its runs share
 SPLIT = "search"
 """Runs that are searched on: an amplitude that is fitted on the same ones would be too large."""
+QUICK = OpenLoopSearch(runs=96, batch=24, generations=4)
+"""Of a quick budget, for the first aim alone; its curve is the only one that is fitted."""
 JUDGED = {"batch": 48, "generations": 24}
 """Most of a search where candidates are judged, and no sums, which cost a hundredth of that."""
 NOTHING_BETTER = 1.01
@@ -404,13 +405,14 @@ def search_aims(
     alert_limit_m: float | None,
     tick: WorkCallback = lambda part: None,
 ) -> dict[str, Any]:
-    """Curves that get farthest, by `AIMS`."""
+    """Curves that get farthest, by `AIMS`; the first one alone where the search is quick."""
     found: dict[str, Any] = {}
     best: OpenLoopAttack | None = None
     least = 1.0
     for name, most in {} if backend.sums else JUDGED.items():
         settings = replace(settings, **{name: min(getattr(settings, name), most)})
-    for name, share in zip(AIMS[:2], (aim(tuning.runs, tuning.budget), 0.5), strict=True):
+    shares = {AIMS[0]: aim(tuning.runs, tuning.budget), AIMS[1]: 0.5}
+    for name, share in list(shares.items())[: 1 if tuning.quick else None]:
         # what gets as far as any attack at few alarms does so at more of them
         if best is None or not best.saturated or share < least:
             others = {} if best is None else {BEFORE: best.rates_mps}
@@ -423,7 +425,7 @@ def search_aims(
             "start": best.start,
             "start_m": best.start_m,
         }
-    if alert_limit_m is not None and best is not None:
+    if alert_limit_m is not None and best is not None and not tuning.quick:
         optimizer = HazardOptimizer(backend, alert_limit_m, settings)
         best = optimizer.search({BEFORE: best.rates_mps})
         found[AIMS[2]] = {
@@ -453,10 +455,8 @@ class Optima:
         self.bounds, self.tuning, self.spoofers = brackets, tuning, spoofers
         self.alert_limit_m = alert_limit_m
         self.world, self.threads = brackets.world, threads
-        own = settings or OpenLoopSearch()
-        runs = min(own.runs, max(RUNS_EACH * tuning.runs, 8))
-        turns = min(own.generations, tuning.generations)
-        self.settings = replace(own, runs=runs, generations=turns)
+        own = settings or (QUICK if tuning.quick else OpenLoopSearch())
+        self.settings = replace(own, runs=min(own.runs, max(RUNS_EACH * tuning.runs, 8)))
         self._replay: Replay | None = None
         self._numbers: dict[str, int] | None = None
         self._unwatched: tuple[WarmStart, Runs] | None = None
@@ -541,7 +541,7 @@ class Optima:
         rates = np.array(found["aims"][AIMS[0]]["rates_mps"])
         limit, _ = get_rate_limits(self.world.setup)
         curves = {BEST_CURVE: rates}
-        if rates.min() < limit:
+        if rates.min() < limit and not self.tuning.quick:
             t = np.linspace(0.0, 1.0, len(rates))
             plain = {name: SHAPES[name](t) for name in PLAIN}
             plain |= {
