@@ -485,7 +485,7 @@ class Simulator(ABC):
             self.copy_rows(rows[there], part, there)
             young = np.flatnonzero(left[rows] > end)
             if len(young) == 1:
-                young = np.append(young, there[:1])
+                young = np.sort(np.append(young, there[:1]))
             if 0 < len(young) <= (1.0 - DROPPED) * len(rows):
                 part, rows = part._copy(young), rows[young]
 
