@@ -25,7 +25,7 @@ extras_learn := flights,limits,report,train
 tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tests/docs/test_rl_libraries.py
 
 .DEFAULT_GOAL := help
-bench_detectors = $(addprefix --detector ,solution-separation:filter=augmented,spacing=geometric snapshot-chi2)
+bench_detectors = $(addprefix --detector ,cumulative-bank:signals=range_rate snapshot-chi2)
 .PHONY: help venv bench test test-nightly test-cpus test-pythons test-ray soak release check docs perf benchmarks train learn
 
 help: ## list the targets
