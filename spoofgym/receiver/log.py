@@ -51,6 +51,8 @@ MORE = {
 }
 """What else an epoch may have, with the sizes of its axes: m innovations, s states."""
 STATES = "position", "velocity"  # names of what says which states are the position's error, ...
+AXES = "east", "north", "up"  # channels of a loosely coupled receiver
+EAST_NORTH_UP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # from N, E, D
 FIRST_ORDER = "first order"
 """What `about` has for ``transition`` where a filter propagates so, but its errors do not."""
 MOST_CHANNELS = 128
@@ -329,16 +331,22 @@ class InnovationLog:
     @classmethod
     def from_replay(cls, solution: Solution) -> InnovationLog:
         """Log of a replayed receiver."""
-        seen = np.concatenate([solution.visible, solution.visible], axis=1)
-        latitude, longitude, _ = ecef_to_geodetic(solution.position_e)
+        count, n = solution.visible.shape
+        channels, about = tuple(f"C{k + 1:02d}" for k in range(n)), {"from": "replay"}
+        if loose := bool(np.isnan(solution.clock_bias_m).all()):
+            channels, axes = AXES, np.tile(EAST_NORTH_UP, (count, 1, 1))
+        else:
+            latitude, longitude, _ = ecef_to_geodetic(solution.position_e)
+            axes, about["transition"] = dcm_e_from_n(latitude, longitude), FIRST_ORDER
         return cls(
             time=solution.time,
-            innovation=np.where(seen, solution.innovation, np.nan),
+            innovation=np.where(solution.measured, solution.innovation, np.nan),
             innovation_cov=solution.innovation_cov,
-            channels=tuple(f"C{k + 1:02d}" for k in range(solution.visible.shape[1])),
-            segment=np.zeros(len(solution.time), dtype=np.int64),
-            more={**solution.filter_fields, "axes": dcm_e_from_n(latitude, longitude)},
-            about={"from": "replay", "transition": FIRST_ORDER},
+            channels=channels,
+            signals=PAIRS[loose],
+            segment=np.zeros(count, dtype=np.int64),
+            more={**solution.filter_fields, "axes": axes},
+            about=about,
             position=(6, 7, 8),
             velocity=(3, 4, 5),
         )

@@ -13,7 +13,6 @@ import math
 import os
 import warnings
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -40,15 +39,13 @@ from .log import MOST_ELEMENTS, InnovationLog
 from .plausibility import CLOCK_STEP, ImplausibleWarning
 from .recording import LONGEST_SAMPLE_S, Recording
 from .replay import Solution, replay
-from .snapshot import least_squares_fix
-from .tight import NavState, NoiseModel, TightlyCoupled
+from .start import MOVING_MPS, find_start, fix_epochs
+from .tight import NoiseModel, TightlyCoupled
 
 Floats = NDArray[np.float64]
 ODD_M, ODD_RATIO = 500.0, 5.0
 """Residuals of fixes that are no noise, and how much they shrink without an odd satellite."""
 TURN_S, TURN_RAD = 2.0, 0.1  # of what turns are compared over, and how large they must be
-MOVING_MPS = 1.0  # horizontal speed whose direction is a heading
-LEVELLING_S = 1.0  # time before and after the start from which the first attitude follows
 FEWEST = 20  # epochs of a piece
 LONGEST_GAP_S = 10.0  # between epochs of a piece
 MASK_DEG = 10.0
@@ -111,8 +108,9 @@ def solve_raw(
     logs, solutions = list[InnovationLog](), Solutions()
     for number, rows in enumerate(_cut_pieces(measured, samples), 1):
         try:
-            row, initial = _find_start(measured, samples, rows, still)
-            start, rows = float(measured.time[row]), rows[rows > row]
+            place = measured.time[rows], measured.fixes[rows], samples.time
+            row, initial = find_start(*place, samples.specific_force_b, FEWEST, still=still)
+            start, rows = float(measured.time[rows[row]]), rows[row + 1 :]
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", ImplausibleWarning)  # it is the remark
                 solution = replay(
@@ -200,14 +198,8 @@ class _Measured:
 
     def _fix_epochs(self, without: int = -1) -> Floats:
         use = np.arange(len(self.satellites)) != without
-        fixes, guess = np.full((len(self.time), 8), np.nan), np.zeros(3)
         arrays = self.pseudorange, self.range_rate, self.position, self.velocity
-        for k, each in enumerate(zip(*(x[:, use] for x in arrays), strict=True)):
-            with suppress(ValueError):  # too few satellites, or a singular geometry
-                fix = least_squares_fix(*each, guess_e=guess)
-                guess, clock = fix.position_e, (fix.clock_bias_m, fix.clock_drift_mps)
-                fixes[k] = *fix.position_e, *fix.velocity_e, *clock
-        return fixes
+        return fix_epochs(*(x[:, use] for x in arrays))
 
     def _list_residuals(self, fixes: Floats) -> tuple[Floats, Floats]:
         """(K, n) of the pseudoranges [m], and (K, n, 3) lines of sight."""
@@ -353,42 +345,6 @@ def _cut_pieces(measured: _Measured, samples: InertialSamples) -> list[NDArray[n
     return np.split(rows, np.flatnonzero(apart) + 1)
 
 
-def _find_start(
-    measured: _Measured, samples: InertialSamples, rows: NDArray[np.intp], still: bool
-) -> tuple[int, NavState]:
-    """First epoch with a fix whose velocity is a heading, and the state there."""
-    fixed = rows[np.isfinite(measured.fixes[rows, 0])]
-    time = measured.time[fixed]
-    firsts = np.searchsorted(time, time - LEVELLING_S)
-    ends = np.searchsorted(time, time + LEVELLING_S, side="right")
-    for row, now, first, end in zip(fixed, time, firsts, ends, strict=True):
-        if end - first < 2 or len(rows) - np.searchsorted(rows, row) < FEWEST:
-            continue
-        position, clock = measured.fixes[row, :3], measured.fixes[row, 6:]
-        around = measured.fixes[fixed[first:end], 3:6]
-        change, velocity = np.polyfit(time[first:end] - now, around, 1)
-        C_eb = C_en = dcm_e_from_n(*ecef_to_geodetic(position)[:2])
-        if still:
-            velocity = np.zeros(3)
-        elif np.hypot(*(velocity @ C_en)[:2]) < MOVING_MPS:
-            continue
-        else:
-            felt = samples.specific_force_b[abs(samples.time - now) <= LEVELLING_S].mean(axis=0)
-            local = _join_axes(change - gravity(*position), velocity)
-            C_eb = local @ _join_axes(felt, np.array([1.0, 0.0, 0.0])).T
-        return int(row), NavState(
-            position_e=position,
-            velocity_e=velocity,
-            C_eb=C_eb,
-            clock_bias_m=clock[0],
-            clock_drift_mps=clock[1],
-        )
-    raise ValueError(
-        f"before its last {FEWEST} epochs there is no fix"
-        + f" with {MOVING_MPS:g} m/s, from which a heading follows" * (not still)
-    )
-
-
 def _compare_turns(measured: _Measured, samples: InertialSamples) -> list[str]:
     """Line about turns of the sensor that are not those of the velocity, with their cause."""
     rows = np.flatnonzero(np.isfinite(measured.fixes[:, 0]))
@@ -413,13 +369,6 @@ def _compare_turns(measured: _Measured, samples: InertialSamples) -> list[str]:
         cause = "is the unit of the axis that points down right (deg/s for rad/s)"
     found = f"the sensor turns by {math.copysign(ratio, alike):.3g} times what the velocity does"
     return [f"{found}: {cause}?"] if cause else []
-
-
-def _join_axes(first: Floats, second: Floats) -> Floats:
-    """(3, 3) axes as columns: along `first`, and `second` in the plane of the first two."""
-    x, z = first, np.cross(first, second)
-    axes = np.stack([x, np.cross(z, x), z], axis=1)
-    return np.asarray(axes / np.linalg.norm(axes, axis=0))
 
 
 def _make_recording(
