@@ -45,6 +45,7 @@ from .tight import NoiseModel, TightlyCoupled
 Floats = NDArray[np.float64]
 ODD_M, ODD_RATIO = 500.0, 5.0
 """Residuals of fixes that are no noise, and how much they shrink without an odd satellite."""
+ODD_SD_M = 1e6  # of ranges that stay in a log, not in its filter
 TURN_S, TURN_RAD = 2.0, 0.1  # of what turns are compared over, and how large they must be
 FEWEST = 20  # epochs of a piece
 LONGEST_GAP_S = 10.0  # between epochs of a piece
@@ -89,16 +90,18 @@ def solve_raw(
     *,
     grade: str = "consumer",
     noise_factors: tuple[float, float] = (1.0, 1.0),
+    keep_odd: bool = False,
 ) -> tuple[InnovationLog, Solutions]:
     """Replay raw measurements, with inertial samples or, where they are None, at rest.
 
     `grade`: of the inertial sensors, see `TightlyCoupled`; `noise_factors` on the standard
     deviations of pseudoranges and range rates, which are those of the receiver itself, or those of
-    `NoiseModel` where it says nothing. Times of the log are those since the first epoch [s]; its
+    `NoiseModel` where it says nothing; `keep_odd`: satellites that disagree by over `ODD_M` stay in
+    the log with a noise of `ODD_SD_M`, which the filter does not use. Times of the log are those since the first epoch [s]; its
     `about` has ``lines``: what was found, corrected and left out.
     """
     require(min(noise_factors) > 0.0, f"`noise_factors` must be positive, got {noise_factors}")
-    measured, still = _Measured(observations, ephemerides), samples is None
+    measured, still = _Measured(observations, ephemerides, keep_odd), samples is None
     size = len(measured.time) * (2 * len(measured.satellites)) ** 2
     require(size <= MOST_ELEMENTS, f"covariances would have {size:,} elements: cut it into parts")
     if samples is None:
@@ -113,8 +116,9 @@ def solve_raw(
             start, rows = float(measured.time[rows[row]]), rows[row + 1 :]
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", ImplausibleWarning)  # it is the remark
+                recording = _make_recording(measured, samples, start, rows)
                 solution = replay(
-                    _make_recording(measured, samples, start, rows),
+                    recording,
                     receiver,
                     initial=initial,
                     noise_variance=_list_variances(measured.sd[rows], noise_factors),
@@ -127,7 +131,7 @@ def solve_raw(
         lines.append(f"piece {number} starts at {after:.2f} s: {len(rows)} epochs")
         lines += filter(None, [solution.remark])
         solutions.append((start, solution))
-        log = InnovationLog.from_replay(solution)
+        log = InnovationLog.from_replay(solution, recording)
         logs.append(replace(log, time=log.time + after, segment=log.segment + number))
     require(logs, "; ".join(["nothing can be replayed", *lines]))
     fields = ("time", "segment", "innovation", "innovation_cov")
@@ -146,7 +150,7 @@ class _Measured:
     - `lines` about what was done.
     """
 
-    def __init__(self, o: Observations, ephemerides: Ephemerides) -> None:
+    def __init__(self, o: Observations, ephemerides: Ephemerides, keep_odd: bool = False) -> None:
         begin = GPS_EPOCH + timedelta(seconds=round(o.time[0]))
         runs = int(o.segment[-1] - o.segment[0]) + 1
         self.lines = [
@@ -169,11 +173,13 @@ class _Measured:
         self.range_rate = o.range_rate[:, used] + SPEED_OF_LIGHT * placed[..., 7]
         self.sd = o.sd[:, [*used, *(n + used)]]
         self._remove_clock_steps()
-        self._remove_odd()
+        odd = self._remove_odd()
         self._remove_troposphere()
         self._remove_system_offsets()
         self.fixes = self._fix_epochs()
         require(np.isfinite(self.fixes).any(), "; ".join([*self.lines, "no epoch has a fix"]))
+        for j, ranges in odd.items() if keep_odd else ():
+            self.pseudorange[:, j], self.sd[:, j] = ranges, ODD_SD_M
         drift = float(np.nanmedian(self.fixes[:, 7]))
         unusual = abs(drift) > OSCILLATOR * SPEED_OF_LIGHT
         self.lines += [
@@ -215,9 +221,10 @@ class _Measured:
         left = left[np.isfinite(left).sum(axis=1) > 4]
         return float(np.nanmedian(np.abs(left))) if left.size else 0.0
 
-    def _remove_odd(self) -> None:
-        """Drop satellites without which the others agree, and epochs that still do not."""
-        self.fixes = self._fix_epochs()
+    def _remove_odd(self) -> dict[int, Floats]:
+        """Drop satellites without which the others agree, and epochs that still do not; returns
+        the ranges of these satellites by their number."""
+        self.fixes, odd = self._fix_epochs(), dict[int, Floats]()
         while (now := self._spread(self.fixes)) > ODD_M:
             trials = [self._fix_epochs(j) for j in range(len(self.satellites))]
             spreads = [self._spread(fixes, j) or now for j, fixes in enumerate(trials)]
@@ -230,6 +237,7 @@ class _Measured:
                 f"left out: {self.satellites[j]}, whose pseudoranges are off by "
                 f"{np.nanmedian(off):.6g} m (median of {np.isfinite(off).sum()} epochs)"
             )
+            odd[j] = self.pseudorange[:, j].copy()
             self.pseudorange[:, j] = np.nan
         apart = (np.abs(self._list_residuals(self.fixes)[0]) > ODD_M).any(axis=1)
         apart |= ~np.isfinite(self.fixes[:, 0])
@@ -240,6 +248,7 @@ class _Measured:
                 f"left out: {apart.sum()} epochs without a fix, or with ranges that disagree by "
                 f"over {ODD_M:g} m"
             )
+        return odd
 
     def _remove_troposphere(self) -> None:
         """Ranges without the delay of a standard atmosphere, and without low satellites."""
