@@ -197,7 +197,7 @@ def replay(
     check_recording(recording, initial, measured, variance)
 
     def misfit_with(part: Recording | PositionRecording, start: NavState) -> NDArray[np.float64]:
-        return run(part, receiver, start, variance)[1]
+        return np.asarray(run(part, receiver, start, variance)[1])
 
     solution, misfit, by_signal = run(recording, receiver, initial, variance, fields)
     flag = flag_epochs(misfit)
