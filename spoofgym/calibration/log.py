@@ -27,6 +27,7 @@ from ..detectors.calibration_file import (
     run_probability,
 )
 from ..receiver.log import PAIRS, InnovationLog, missing_fields
+from ..receiver.raw_measurements import ODD_SD_M
 from ..receiver.states import STATES
 
 __all__ = ["LogJudgement", "judge_log"]
@@ -127,13 +128,15 @@ def bind_to_log(
         )
     seen = np.isfinite(log.innovation)
     columns = zip(log.variance.T, seen.T, strict=True)
-    scale = [float(np.median(x[has])) if has.any() else 1.0 for x, has in columns]
+    scale = np.array([np.median(x[has]) if has.any() else 1.0 for x, has in columns])
     n = len(log.channels)
+    for half in np.split(scale, 2):  # what the log's filter does not use is no noise of a test
+        half[half >= ODD_SD_M**2] = np.median(half)
     context = DetectorContext(
         receivers=receivers,
         channels=n,
         epoch_interval_s=log.interval_s,
-        noise_variance=np.array(scale),
+        noise_variance=scale,
         satellite_ids=log.channels,
         states=log.states or STATES,
     )
