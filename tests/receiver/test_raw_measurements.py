@@ -12,6 +12,8 @@ from spoofgym.data.inertial import read_inertial
 from spoofgym.data.observations import read_observations
 from spoofgym.data.rinex import read_navigation
 from spoofgym.earth.wgs84 import dcm_e_from_n, geodetic_to_ecef
+from spoofgym.receiver.epoch import FILTER
+from spoofgym.receiver.log import RANGES
 from spoofgym.receiver.raw_measurements import (
     _compare_turns,
     _Measured,
@@ -121,7 +123,7 @@ def test_one_command_writes_the_log(files, tmp_path):
     result = call("log", "import", *names, "--mapping", files / "imu.toml", "-o", out)
     assert "piece 1 starts at 0.00 s" in result.stdout
     log = InnovationLog.load(out)
-    assert {"design", "transition", "predicted_cov", "imu_delta", "axes"} == set(log.more)
+    assert {*FILTER, *RANGES, "axes"} == set(log.more)
     assert refused("log", "import", *names, "-o", out).count("--mapping")
     for idle in (("--grade", "tactical"), ("--noise-factors", "2", "2")):
         assert "for raw measurements" in refused("log", "import", out, "-o", out, *idle)
