@@ -97,9 +97,9 @@ def solve_raw(
     `grade`: of the inertial sensors, see `TightlyCoupled`; `noise_factors` on the standard
     deviations of pseudoranges and range rates, which are those of the receiver itself, or those of
     `NoiseModel` where it says nothing; `keep_odd`: satellites that disagree by over `ODD_M` stay in
-    the log with a noise of `ODD_SD_M`, so that the filter does not use them. Times of the log are
-    those since the first epoch [s]; its `about` has ``lines``: what was found, corrected and left
-    out.
+    the log with a noise of `ODD_SD_M` and as many m/s, so that the filter does not use them. Times
+    of the log are those since the first epoch [s]; its `about` has ``lines``: what was found,
+    corrected and left out.
     """
     require(min(noise_factors) > 0.0, f"`noise_factors` must be positive, got {noise_factors}")
     measured, still = _Measured(observations, ephemerides, keep_odd), samples is None
@@ -180,7 +180,7 @@ class _Measured:
         self.fixes = self._fix_epochs()
         require(np.isfinite(self.fixes).any(), "; ".join([*self.lines, "no epoch has a fix"]))
         for j, ranges in odd.items() if keep_odd else ():
-            self.pseudorange[:, j], self.sd[:, j] = ranges, ODD_SD_M
+            self.pseudorange[:, j], self.sd[:, [j, len(used) + j]] = ranges, ODD_SD_M
         drift = float(np.nanmedian(self.fixes[:, 7]))
         unusual = abs(drift) > OSCILLATOR * SPEED_OF_LIGHT
         self.lines += [
