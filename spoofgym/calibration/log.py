@@ -26,7 +26,9 @@ from ..detectors.calibration_file import (
     hourly_rate,
     run_probability,
 )
-from ..receiver.log import InnovationLog, missing_fields
+from ..receiver.log import PAIRS, InnovationLog, missing_fields
+from ..receiver.raw_measurements import ODD_SD_M
+from ..receiver.states import STATES
 
 __all__ = ["LogJudgement", "judge_log"]
 
@@ -97,10 +99,21 @@ def bind_to_log(
     detector = make_detector(spec)
     detector = unwrap(detector)  # without a world's thresholds
     label = label_spec(spec)
+    require(
+        not detector.needs_model,
+        f"{label} needs a model of all errors for a filter of its own, which no log has; take the "
+        "filter of the log (filter=victim)",
+    )
     lacking = missing_fields(log, detector.needs)
     require(
         not lacking,
         f"{label} needs {', '.join(lacking)} of every epoch, which the log does not have",
+    )
+    standard = log.signals == PAIRS[0] and (log.velocity, log.position) == ((3, 4, 5), (6, 7, 8))
+    require(
+        "transition" not in detector.needs or (standard and log.states >= STATES),
+        f"{label} needs the {STATES} states of a tightly coupled receiver, in its order; the log's "
+        f"filter has {log.states} in another one, or measures no ranges",
     )
     absent = [name for name in log.signals if name not in log.present_signals]
     reads = getattr(detector, "signals", None)
@@ -115,18 +128,17 @@ def bind_to_log(
         )
     seen = np.isfinite(log.innovation)
     columns = zip(log.variance.T, seen.T, strict=True)
-    scale = [float(np.median(x[has])) if has.any() else 1.0 for x, has in columns]
+    scale = np.array([np.median(x[has]) if has.any() else 1.0 for x, has in columns])
     n = len(log.channels)
+    for half in np.split(scale, 2):  # what the log's filter does not use is no noise of a test
+        half[half >= ODD_SD_M**2] = np.median(half)
     context = DetectorContext(
         receivers=receivers,
         channels=n,
         epoch_interval_s=log.interval_s,
-        noise_variance=np.array(scale),
+        noise_variance=scale,
         satellite_ids=log.channels,
-    )
-    require(
-        not detector.needs_model,
-        f"{label} runs a filter of its own, and a log has no model of the receiver's errors",
+        states=log.states or STATES,
     )
     detector = detector if factor == 1.0 else Calibrated(detector, factor)
     detector.bind(context)

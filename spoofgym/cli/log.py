@@ -257,6 +257,14 @@ def import_log(
             "receiver itself or 2.5 m and 0.1 m/s."
         ),
     ] = (1.0, 1.0),
+    keep_odd: Annotated[
+        bool,
+        Option(
+            "--keep-odd",
+            help="Keep satellites whose ranges disagree by over 500 m in the log, for tests of "
+            "ranges; the filter does not use them.",
+        ),
+    ] = False,
 ) -> None:
     """Write a log of an autopilot, or of a filter run over raw measurements, as one of innovations;
     or such a log in the other form."""
@@ -266,13 +274,14 @@ def import_log(
 
     raw = len(files) > 1 or mapping is not None or static
     require(
-        (raw or noise_factors == (1.0, 1.0)) and ((raw and not static) or grade == "consumer"),
-        "--noise-factors are for raw measurements, --grade is for those with inertial samples",
+        (raw or (noise_factors == (1.0, 1.0) and not keep_odd))
+        and ((raw and not static) or grade == "consumer"),
+        "--noise-factors and --keep-odd are for raw measurements, --grade is for those with "
+        "inertial samples",
     )
     if raw:
-        found = read_raw_log(
-            files, mapping, static=static, grade=grade, noise_factors=noise_factors
-        )
+        noise = {"noise_factors": noise_factors, "keep_odd": keep_odd}
+        found = read_raw_log(files, mapping, static=static, grade=grade, **noise)
     else:
         readers = {".ulg": read_ulog, ".bin": read_dataflash}
         found = readers.get(files[0].suffix.lower(), InnovationLog.load)(files[0])

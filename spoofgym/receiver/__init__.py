@@ -4,7 +4,7 @@ from .adaptive import SelfTuning
 from .log import InnovationLog
 from .loose import LooselyCoupled
 from .plausibility import ImplausibleWarning
-from .recording import Recording
+from .recording import PositionRecording, Recording
 from .replay import Solution, replay
 from .snapshot import Fix, least_squares_fix
 from .tight import NavState, NoiseModel, TightlyCoupled
@@ -16,6 +16,7 @@ __all__ = [
     "LooselyCoupled",
     "NavState",
     "NoiseModel",
+    "PositionRecording",
     "Recording",
     "SelfTuning",
     "Solution",

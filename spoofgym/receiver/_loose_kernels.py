@@ -94,16 +94,16 @@ def propagate_loose(P, Phi, noise_psd, tau, work):
 
 
 @njit
-def predict(state, samples, fix_e, interval, noise_psd, transition, imu_delta):
+def predict(state, samples, lengths, tau, fix_e, noise_psd, transition, imu_delta):
     """Mechanize one block of samples, propagate, and form innovation and covariance.
 
-    `samples` (B, S, 6) measured specific force and angular rate, body axes; `fix_e` (B, 3) GNSS
-    position, ECEF [m]; `interval`: length of a sample [s]; `noise_psd` (15,) of the noise that
-    drives each state; `transition` (B, 15, 15), written; its rows of the biases must hold those of
-    the identity; `imu_delta` (B, 6), written: bias-corrected delta-v [m/s] and delta-theta [rad].
+    `samples` (B, S, 6) measured specific force and angular rate, body axes; `lengths` (S,) of the
+    samples, which are `tau` together [s]; `fix_e` (B, 3) GNSS position, ECEF [m]; `noise_psd` (15,)
+    of the noise that drives each state; `transition` (B, 15, 15), written; its rows of the biases
+    must hold those of the identity; `imu_delta` (B, 6), written: bias-corrected delta-v [m/s] and
+    delta-theta [rad].
     """
     count = samples.shape[1]
-    tau = count * interval
     F, work = np.empty((9, 9)), np.empty((15, 15))
     C_el, middle, psd = np.empty((3, 3)), np.empty((3, 3)), np.empty(15)
     for b in range(fix_e.shape[0]):
@@ -117,6 +117,7 @@ def predict(state, samples, fix_e, interval, noise_psd, transition, imu_delta):
             m = samples[b, i]
             f = (m[0] - bias[3], m[1] - bias[4], m[2] - bias[5])
             w = (m[3] - bias[0], m[4] - bias[1], m[5] - bias[2])
+            interval = lengths[i]
             A, V, X = strapdown_step(A, V, X, f, w, interval)
             for c in range(3):
                 delta[c] += f[c] * interval

@@ -33,6 +33,7 @@ from .epoch import FILTER, OPTIONAL, Epoch
 if TYPE_CHECKING:
     import pandas
 
+    from .recording import Recording
     from .replay import Solution
 
 FloatArray = NDArray[np.float64]
@@ -48,9 +49,18 @@ MORE = {
     "imu_delta": "6",
     "gain": "sm",
     "axes": "33",
+    "pseudorange": "n",
+    "satellite_position": "n3",
+    "predicted_position": "3",
 }
-"""What else an epoch may have, with the sizes of its axes: m innovations, s states."""
+"""What else an epoch may have, with the sizes of its axes: m innovations, s states, n channels."""
+RANGES = "pseudorange", "satellite_position", "predicted_position"
+"""What a test of ranges needs, 0 where a channel is absent; a place may be there alone."""
+PLACED = frozenset({"transition", "imu_delta", "gnss_position", *RANGES})
+"""Fields of an epoch whose detectors look at the predicted position, too."""
 STATES = "position", "velocity"  # names of what says which states are the position's error, ...
+AXES = "east", "north", "up"  # channels of a loosely coupled receiver
+EAST_NORTH_UP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # from N, E, D
 FIRST_ORDER = "first order"
 """What `about` has for ``transition`` where a filter propagates so, but its errors do not."""
 MOST_CHANNELS = 128
@@ -103,7 +113,9 @@ class InnovationLog:
         Matrices of the filter by name, `MORE`: ``design`` (K, 2n, s) H, by which an error of the
         estimate shifts the innovations; ``transition`` (K, s, s) from the epoch before;
         ``predicted_cov`` (K, s, s) or ``gain`` (K, s, 2n); ``axes`` (K, 3, 3) from north, east,
-        down to those of the position, by default as they are; ``imu_delta`` (K, 6).
+        down to those of the position, by default as they are; ``imu_delta`` (K, 6); for tests of
+        ranges ``pseudorange`` (K, n) without the satellites' clocks, ``satellite_position``
+        (K, n, 3) and ``predicted_position`` (K, 3), ECEF [m].
     position, velocity : tuple of int
         (3,) which of the states are errors of these; empty where that is not known.
     about : mapping
@@ -156,7 +168,12 @@ class InnovationLog:
                 f"variances must be positive, got {variance[k, row]:g} at {self.time[k]:g} s of "
                 f"{self.channels[row % len(self.channels)]}"
             )
-        sizes = {"m": m}
+        sizes = {"m": m, "n": m // 2}
+        there = [name for name in RANGES if name in self.more]
+        require(
+            there in ([], list(RANGES), [RANGES[2]]),
+            f"ranges need {', '.join(RANGES)}, got {', '.join(there)} alone",
+        )
         for name, array in self.more.items():
             check_choice("matrix of a filter", name, MORE)
             if "s" in MORE[name] and array.ndim == 3:
@@ -176,6 +193,11 @@ class InnovationLog:
     def variance(self) -> FloatArray:
         """(K, 2n) diagonal of S."""
         return np.diagonal(self.innovation_cov, axis1=1, axis2=2)
+
+    @property
+    def states(self) -> int:
+        """Error states of the log's filter, 0 where they are not known."""
+        return self.more["transition"].shape[1] if "transition" in self.more else 0
 
     @property
     def present_signals(self) -> tuple[str, ...]:
@@ -222,17 +244,17 @@ class InnovationLog:
         """Epoch of as many receivers as there are rows, each at its own."""
         here, identity = self.judged[rows], np.eye(self.innovation.shape[1])
         S = np.where(here[:, :, None] & here[:, None], self.innovation_cov[rows], identity)
-        nowhere = np.zeros((len(here), 3))
+        nowhere, shown = np.zeros((len(here), 3)), {*FILTER, *RANGES}
+        more = {name: array[rows] for name, array in self.more.items() if name in shown}
         return Epoch(
             time=self.time[rows],
             interval=self.steps_s[rows],
             innovation=np.where(here, self.innovation[rows], 0.0),
             innovation_variance=np.diagonal(S, axis1=1, axis2=2).copy(),
             visible=self.visible[rows],
-            predicted_position=nowhere,
             predicted_velocity=nowhere,
             innovation_cov=S,
-            **{name: array[rows] for name, array in self.more.items() if name in FILTER},
+            **{"predicted_position": nowhere, **more},
         )
 
     def check_signals(self) -> list[SignalCheck]:
@@ -327,18 +349,32 @@ class InnovationLog:
         )
 
     @classmethod
-    def from_replay(cls, solution: Solution) -> InnovationLog:
-        """Log of a replayed receiver."""
-        seen = np.concatenate([solution.visible, solution.visible], axis=1)
-        latitude, longitude, _ = ecef_to_geodetic(solution.position_e)
+    def from_replay(cls, solution: Solution, recording: Recording | None = None) -> InnovationLog:
+        """Log of a replayed receiver; with the ranges of the `recording` of the same epochs, where
+        it is there, for tests of ranges."""
+        count, n = solution.visible.shape
+        channels, about = tuple(f"C{k + 1:02d}" for k in range(n)), {"from": "replay"}
+        if loose := bool(np.isnan(solution.clock_bias_m).all()):
+            channels, axes = AXES, np.tile(EAST_NORTH_UP, (count, 1, 1))
+        else:
+            latitude, longitude, _ = ecef_to_geodetic(solution.position_e)
+            axes, about["transition"] = dcm_e_from_n(latitude, longitude), FIRST_ORDER
+        more = {**solution.filter_fields, "axes": axes}
+        if not loose:
+            more[RANGES[2]] = solution.position_e
+        if recording is not None:
+            names = "pseudorange", "satellite_position_e"
+            ranges = (np.nan_to_num(getattr(recording, name)) for name in names)
+            more |= dict(zip(RANGES, ranges, strict=False))
         return cls(
             time=solution.time,
-            innovation=np.where(seen, solution.innovation, np.nan),
+            innovation=np.where(solution.measured, solution.innovation, np.nan),
             innovation_cov=solution.innovation_cov,
-            channels=tuple(f"C{k + 1:02d}" for k in range(solution.visible.shape[1])),
-            segment=np.zeros(len(solution.time), dtype=np.int64),
-            more={**solution.filter_fields, "axes": dcm_e_from_n(latitude, longitude)},
-            about={"from": "replay", "transition": FIRST_ORDER},
+            channels=channels,
+            signals=PAIRS[loose],
+            segment=np.zeros(count, dtype=np.int64),
+            more=more,
+            about=about,
             position=(6, 7, 8),
             velocity=(3, 4, 5),
         )
@@ -495,7 +531,8 @@ def _read_matrices(path: Path) -> InnovationLog:
 def missing_fields(log: InnovationLog, needs: frozenset[str]) -> list[str]:
     """Fields of an epoch that a detector needs and a log does not have."""
     has = {"innovation_cov", *log.more}
-    return sorted(needs & set(OPTIONAL) - has)
+    place = {RANGES[2]} if needs & PLACED else set()
+    return sorted((needs & set(OPTIONAL) | place) - has)
 
 
 def missing_matrices(log: InnovationLog) -> list[str]:

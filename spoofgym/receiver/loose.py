@@ -144,7 +144,8 @@ class LooseReceivers:
         imu_interval_s: float,
         fields: Collection[str] = OPTIONAL,
     ) -> None:
-        self.settings, self.memory, self.imu_interval_s = settings, memory, imu_interval_s
+        self.settings, self.memory = settings, memory
+        self._lengths, self._tau = np.full(samples, imu_interval_s), samples * imu_interval_s
         b, tuning = memory.receivers, settings.tuning
         window = tuning.window if tuning else 0
         self._rule = PROCESS[tuning.process] if tuning else PROCESS["fixed"]
@@ -170,7 +171,7 @@ class LooseReceivers:
         self._design = np.zeros((b, 3, STATES))
         self._design[:, np.arange(3), POSITION + np.arange(3)] = -1.0
         self._ones = np.ones((b, 3))
-        constant = {"interval": np.full(b, samples * imu_interval_s), "design": self._design}
+        constant = {"interval": np.full(b, self._tau), "design": self._design}
         self._epoch = EpochMaker(fields, {**constant, **without_channels(b)})
 
     @property
@@ -184,8 +185,12 @@ class LooseReceivers:
         first_estimate(self.state, position_e, velocity_e, C_eb, error)
 
     def predict(self) -> None:
-        changed = self._transition, self._imu_delta
-        predict(self.state, self.samples, self.fix_e, self.imu_interval_s, self._psd, *changed)
+        self.predict_over(self.samples, self._lengths, self._tau)
+
+    def predict_over(self, samples: FloatArray, lengths: FloatArray, tau: float) -> None:
+        """The same for samples (B, S, 6) of any `lengths` (S,), `tau` together [s]."""
+        measured = samples, lengths, tau, self.fix_e
+        predict(self.state, *measured, self._psd, self._transition, self._imu_delta)
 
     def update(self, weights: FloatArray | None) -> None:
         update_loose(

@@ -24,7 +24,7 @@ from ..earth.wgs84 import (
     dcm_e_from_n,
     ecef_to_geodetic,
 )
-from .recording import Recording
+from .recording import SOLVED, AnyRecording, PositionRecording, Recording
 from .tight import NavState
 
 Floats = NDArray[np.float64]
@@ -45,32 +45,95 @@ LEAP_SECONDS = 18.0  # between GPS time and UTC since 2017
 TRIED_EPOCHS = 600
 
 
+LONGEST_STEP_S, FAST, FEW_PAIRS, MOVED_OFTEN = 2.0, 3.0, 5, 0.7
+"""Of epochs and velocities [m/s] with which positions are compared, and how far they may differ."""
+
+
 class ImplausibleWarning(UserWarning):
     """A replay's innovations are not what its filter believes, or its solution is not finite."""
 
 
 def check_recording(
-    recording: Recording, initial: NavState, visible: Bools, variance: Floats
+    recording: AnyRecording, initial: NavState, measured: Bools, variance: Floats
 ) -> None:
-    """Raise a ValueError that names the likeliest cause where a recording can't be. `visible`
-    (K, n) what is measured; `variance` (K, 2n) of its noise."""
+    """Raise a ValueError that names the likeliest cause where a recording can't be. `measured`
+    (K, 2n) what is there, and `variance` (K, 2n) of its noise."""
+    if isinstance(recording, PositionRecording):
+        _check_motion(recording, initial)
     _check_start(initial)
     _check_force(recording, initial)
-    both = np.hstack([visible, visible])
-    low = both & ~((variance >= SMALLEST_SD**2) & np.isfinite(variance))
+    low = measured & ~((variance >= SMALLEST_SD**2) & np.isfinite(variance))
     for k, j in np.argwhere(low)[:1]:
         raise ValueError(
             f"a noise variance must be finite and at least {SMALLEST_SD**2:g}, got "
             f"{variance[k, j]:g} in column {j} at {_time(recording, k)}"
         )
-    if visible.any():
+    visible = measured[:, : measured.shape[1] // 2]
+    if isinstance(recording, Recording) and visible.any():
         _check_absent(recording, visible)
         _check_satellites(recording, initial, visible)
         _check_ranges(recording, initial, visible)
         _check_rates(recording, visible)
 
 
-def _time(recording: Recording, epoch: int) -> str:
+def check_places(recording: PositionRecording) -> None:
+    """Raise where positions are not near the Earth, or velocities too large."""
+    position, velocity = (np.asarray(getattr(recording, name)) for name in SOLVED)
+    radius, speed = np.linalg.norm(position, axis=1), np.linalg.norm(velocity, axis=1)
+    for k in np.flatnonzero((radius < RECEIVER_RADII[0]) | (radius > RECEIVER_RADII[1]))[:1]:
+        raise ValueError(
+            f"`position_e` must be ECEF in m, {RECEIVER_RADII[0]:g} to {RECEIVER_RADII[1]:g} from "
+            f"the Earth's centre, got {position[k].tolist()} at {_time(recording, k)} (is it "
+            "latitude, longitude and height, or the mark of an absent one, which is NaN here?)"
+        )
+    fixed = np.flatnonzero(np.isfinite(radius))
+    time = np.asarray(recording.gnss_time)[fixed]
+    moved = np.linalg.norm(np.diff(position[fixed], axis=0), axis=1) / np.diff(time)
+    for k in np.flatnonzero(moved > FASTEST)[:1]:
+        raise ValueError(
+            f"`position_e` must move by at most {FASTEST:g} m/s, got {moved[k]:g} up to "
+            f"{time[k + 1]:g} s (which unit has it, or is it the mark of an absent one, which is "
+            "NaN here?)"
+        )
+    for k in np.flatnonzero(speed > FASTEST)[:1]:
+        raise ValueError(
+            f"`velocity_e` must be at most {FASTEST:g} m/s, got {speed[k]:g} at "
+            f"{_time(recording, k)} (which unit has it?)"
+        )
+
+
+def _check_motion(recording: PositionRecording, initial: NavState) -> None:
+    """Velocities are how positions move."""
+    position, velocity = (np.asarray(getattr(recording, name)) for name in SOLVED)
+    step = np.diff(np.asarray(recording.gnss_time))[:, None]
+    moved, mean = np.diff(position, axis=0) / step, 0.5 * (velocity[1:] + velocity[:-1])
+    pairs = np.isfinite(moved + mean).all(axis=1) & (step[:, 0] <= LONGEST_STEP_S)
+    moved, mean = moved[pairs], mean[pairs]
+    fast = np.linalg.norm(mean, axis=1) > FAST
+    if fast.sum() < FEW_PAIRS:
+        return
+
+    def misfit(change: Callable[[Floats], Floats]) -> float:
+        off = np.linalg.norm(moved[fast] - change(mean[fast]), axis=1)
+        return float(np.median(off) / np.median(np.linalg.norm(mean[fast], axis=1)))
+
+    axes = _local_axes(initial)
+    if (found := misfit(lambda v: v)) > MOVED_OFTEN:
+        causes: dict[str, Callable[[Floats], Floats]] = {
+            "are its axes north, east and down": lambda v: v @ axes.T,
+            "are its axes east, north and up": lambda v: v[:, [1, 0, 2]] * [1, 1, -1] @ axes.T,
+            "is it in km/h": lambda v: v / 3.6,
+            "is it in knots": lambda v: v * 1852.0 / 3600.0,
+        }
+        cause = min(causes, key=lambda x: misfit(causes[x]))
+        cause = cause if misfit(causes[cause]) < 0.3 * found else "do they belong together"
+        raise ValueError(
+            "`velocity_e` must be in ECEF axes and m/s, but positions move otherwise, by "
+            f"{100.0 * found:.0f} % of it in the median ({cause}?)"
+        )
+
+
+def _time(recording: AnyRecording, epoch: int) -> str:
     return f"{np.asarray(recording.gnss_time)[epoch]:g} s"
 
 
@@ -96,7 +159,7 @@ def _check_start(initial: NavState) -> None:
     )
 
 
-def _check_force(recording: Recording, initial: NavState) -> None:
+def _check_force(recording: AnyRecording, initial: NavState) -> None:
     """Unit and direction of the specific force: on average it holds against gravity."""
     force = np.asarray(recording.specific_force_b)
     require(
@@ -288,7 +351,7 @@ def _without_offsets(recording: Recording, initial: NavState) -> dict[str, Any]:
 
 
 Changes = tuple[dict[str, Any], dict[str, Any]]
-MISTAKES: dict[str, Callable[[Recording, NavState], Changes]] = {
+MISTAKES: dict[str, Callable[[Any, NavState], Changes]] = {
     "`angular_rate_b` is in deg/s": lambda x, _: (
         {"angular_rate_b": DEGREE * np.asarray(x.angular_rate_b)},
         {},
@@ -298,6 +361,8 @@ MISTAKES: dict[str, Callable[[Recording, NavState], Changes]] = {
         {},
         {"C_eb": _local_axes(start) @ np.asarray(start.C_eb)},
     ),
+}
+OF_SATELLITES: dict[str, Callable[[Any, NavState], Changes]] = {
     "satellites are where they were 18 leap seconds before (UTC for GPS time)": lambda x, _: (
         _shift(x, LEAP_SECONDS),
         {},
@@ -319,25 +384,26 @@ MISTAKES: dict[str, Callable[[Recording, NavState], Changes]] = {
 
 
 def explain_flags(
-    misfit_with: Callable[[Recording, NavState], Floats],
-    recording: Recording,
+    misfit_with: Callable[[Any, NavState], Floats],
+    recording: AnyRecording,
     initial: NavState,
     flag: NDArray[np.str_],
     misfit: Floats,
     by_signal: Floats,
 ) -> str:
     """Sentence about flagged epochs, with the likeliest cause. `misfit_with`: of a start of the
-    recording; `by_signal` (K, 2) mean squares of pseudoranges and range rates alone."""
+    recording; `by_signal` (K, 2) mean squares of lengths and rates alone."""
     flagged = np.flatnonzero(flag)
     first = int(flagged[0])
     finite = misfit[flagged][np.isfinite(misfit[flagged])]
     times = f"{np.sqrt(np.median(finite)):.3g} times" if finite.size else "beyond all bounds of"
     head = _cut(recording, min(first + WINDOW, len(flag), TRIED_EPOCHS))
-    cause = _blame_signal(by_signal[flagged])
+    ranges = isinstance(recording, Recording)
+    cause = _blame_signal(by_signal[flagged], ranges)
     if first < TRIED_EPOCHS:
         before = _typical(misfit[: len(np.asarray(head.gnss_time))])
         after = {}
-        for words, undo in MISTAKES.items():
+        for words, undo in {**MISTAKES, **(OF_SATELLITES if ranges else {})}.items():
             changed, start = undo(head, initial)
             again = dataclasses.replace(initial, **start)
             after[words] = _typical(misfit_with(dataclasses.replace(head, **changed), again))
@@ -358,24 +424,36 @@ def _typical(misfit: Floats) -> float:
     return float(np.median(measured)) if sound else np.inf
 
 
-def _cut(recording: Recording, epochs: int) -> Recording:
+def _cut(recording: AnyRecording, epochs: int) -> AnyRecording:
     samples = int(recording.epoch_samples()[epochs - 1])
     sizes = {field.name: epochs for field in dataclasses.fields(recording)}
     sizes |= dict.fromkeys(("imu_time", "specific_force_b", "angular_rate_b"), samples)
-    cut = {name: np.asarray(getattr(recording, name))[:size] for name, size in sizes.items()}
+    cut: dict[str, Any] = {
+        name: np.asarray(getattr(recording, name))[:size] for name, size in sizes.items()
+    }
     return dataclasses.replace(recording, **cut)
 
 
-def _blame_signal(by_signal: Floats) -> str:
+BLAMED = {
+    True: (
+        "something in the pseudoranges alone: satellite clocks, times of the orbits, a jump of the "
+        "receiver's clock, or an attack",
+        "something in the range rates alone: their noise, the satellites' velocities",
+    ),
+    False: (
+        "something in the positions alone: a delay, jumps from one solution to the next, an attack",
+        "something in the velocities alone: their noise, a delay, their axes",
+    ),
+}
+
+
+def _blame_signal(by_signal: Floats, of_ranges: bool) -> str:
     finite = by_signal[np.isfinite(by_signal).all(axis=1)]
-    ranges, rates = np.median(finite, axis=0) if len(finite) else (np.inf, np.inf)
-    if ranges > 10.0 * rates:
-        return (
-            "something in the pseudoranges alone: satellite clocks, times of the orbits, a jump of "
-            "the receiver's clock, or an attack"
-        )
-    if rates > 10.0 * ranges:
-        return "something in the range rates alone: their noise, the satellites' velocities"
+    lengths, rates = np.median(finite, axis=0) if len(finite) else (np.inf, np.inf)
+    if lengths > 10.0 * rates:
+        return BLAMED[of_ranges][0]
+    if rates > 10.0 * lengths:
+        return BLAMED[of_ranges][1]
     return (
         "attitude, inertial samples or their time base do not belong to the measurements, or their "
         "noise is larger than the filter's"

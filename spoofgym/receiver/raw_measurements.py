@@ -13,7 +13,6 @@ import math
 import os
 import warnings
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -40,15 +39,14 @@ from .log import MOST_ELEMENTS, InnovationLog
 from .plausibility import CLOCK_STEP, ImplausibleWarning
 from .recording import LONGEST_SAMPLE_S, Recording
 from .replay import Solution, replay
-from .snapshot import least_squares_fix
-from .tight import NavState, NoiseModel, TightlyCoupled
+from .start import MOVING_MPS, find_start, fix_epochs
+from .tight import NoiseModel, TightlyCoupled
 
 Floats = NDArray[np.float64]
 ODD_M, ODD_RATIO = 500.0, 5.0
 """Residuals of fixes that are no noise, and how much they shrink without an odd satellite."""
+ODD_SD_M = 1e6  # of ranges that stay in a log, not in its filter
 TURN_S, TURN_RAD = 2.0, 0.1  # of what turns are compared over, and how large they must be
-MOVING_MPS = 1.0  # horizontal speed whose direction is a heading
-LEVELLING_S = 1.0  # time before and after the start from which the first attitude follows
 FEWEST = 20  # epochs of a piece
 LONGEST_GAP_S = 10.0  # between epochs of a piece
 MASK_DEG = 10.0
@@ -92,16 +90,19 @@ def solve_raw(
     *,
     grade: str = "consumer",
     noise_factors: tuple[float, float] = (1.0, 1.0),
+    keep_odd: bool = False,
 ) -> tuple[InnovationLog, Solutions]:
     """Replay raw measurements, with inertial samples or, where they are None, at rest.
 
     `grade`: of the inertial sensors, see `TightlyCoupled`; `noise_factors` on the standard
     deviations of pseudoranges and range rates, which are those of the receiver itself, or those of
-    `NoiseModel` where it says nothing. Times of the log are those since the first epoch [s]; its
-    `about` has ``lines``: what was found, corrected and left out.
+    `NoiseModel` where it says nothing; `keep_odd`: satellites that disagree by over `ODD_M` stay in
+    the log with a noise of `ODD_SD_M` and as many m/s, so that the filter does not use them. Times
+    of the log are those since the first epoch [s]; its `about` has ``lines``: what was found,
+    corrected and left out.
     """
     require(min(noise_factors) > 0.0, f"`noise_factors` must be positive, got {noise_factors}")
-    measured, still = _Measured(observations, ephemerides), samples is None
+    measured, still = _Measured(observations, ephemerides, keep_odd), samples is None
     size = len(measured.time) * (2 * len(measured.satellites)) ** 2
     require(size <= MOST_ELEMENTS, f"covariances would have {size:,} elements: cut it into parts")
     if samples is None:
@@ -111,12 +112,14 @@ def solve_raw(
     logs, solutions = list[InnovationLog](), Solutions()
     for number, rows in enumerate(_cut_pieces(measured, samples), 1):
         try:
-            row, initial = _find_start(measured, samples, rows, still)
-            start, rows = float(measured.time[row]), rows[rows > row]
+            place = measured.time[rows], measured.fixes[rows], samples.time
+            row, initial = find_start(*place, samples.specific_force_b, FEWEST, still=still)
+            start, rows = float(measured.time[rows[row]]), rows[row + 1 :]
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", ImplausibleWarning)  # it is the remark
+                recording = _make_recording(measured, samples, start, rows)
                 solution = replay(
-                    _make_recording(measured, samples, start, rows),
+                    recording,
                     receiver,
                     initial=initial,
                     noise_variance=_list_variances(measured.sd[rows], noise_factors),
@@ -129,7 +132,7 @@ def solve_raw(
         lines.append(f"piece {number} starts at {after:.2f} s: {len(rows)} epochs")
         lines += filter(None, [solution.remark])
         solutions.append((start, solution))
-        log = InnovationLog.from_replay(solution)
+        log = InnovationLog.from_replay(solution, recording)
         logs.append(replace(log, time=log.time + after, segment=log.segment + number))
     require(logs, "; ".join(["nothing can be replayed", *lines]))
     fields = ("time", "segment", "innovation", "innovation_cov")
@@ -148,7 +151,7 @@ class _Measured:
     - `lines` about what was done.
     """
 
-    def __init__(self, o: Observations, ephemerides: Ephemerides) -> None:
+    def __init__(self, o: Observations, ephemerides: Ephemerides, keep_odd: bool = False) -> None:
         begin = GPS_EPOCH + timedelta(seconds=round(o.time[0]))
         runs = int(o.segment[-1] - o.segment[0]) + 1
         self.lines = [
@@ -171,11 +174,13 @@ class _Measured:
         self.range_rate = o.range_rate[:, used] + SPEED_OF_LIGHT * placed[..., 7]
         self.sd = o.sd[:, [*used, *(n + used)]]
         self._remove_clock_steps()
-        self._remove_odd()
+        odd = self._remove_odd()
         self._remove_troposphere()
         self._remove_system_offsets()
         self.fixes = self._fix_epochs()
         require(np.isfinite(self.fixes).any(), "; ".join([*self.lines, "no epoch has a fix"]))
+        for j, ranges in odd.items() if keep_odd else ():
+            self.pseudorange[:, j], self.sd[:, [j, len(used) + j]] = ranges, ODD_SD_M
         drift = float(np.nanmedian(self.fixes[:, 7]))
         unusual = abs(drift) > OSCILLATOR * SPEED_OF_LIGHT
         self.lines += [
@@ -200,14 +205,8 @@ class _Measured:
 
     def _fix_epochs(self, without: int = -1) -> Floats:
         use = np.arange(len(self.satellites)) != without
-        fixes, guess = np.full((len(self.time), 8), np.nan), np.zeros(3)
         arrays = self.pseudorange, self.range_rate, self.position, self.velocity
-        for k, each in enumerate(zip(*(x[:, use] for x in arrays), strict=True)):
-            with suppress(ValueError):  # too few satellites, or a singular geometry
-                fix = least_squares_fix(*each, guess_e=guess)
-                guess, clock = fix.position_e, (fix.clock_bias_m, fix.clock_drift_mps)
-                fixes[k] = *fix.position_e, *fix.velocity_e, *clock
-        return fixes
+        return fix_epochs(*(x[:, use] for x in arrays))
 
     def _list_residuals(self, fixes: Floats) -> tuple[Floats, Floats]:
         """(K, n) of the pseudoranges [m], and (K, n, 3) lines of sight."""
@@ -223,9 +222,10 @@ class _Measured:
         left = left[np.isfinite(left).sum(axis=1) > 4]
         return float(np.nanmedian(np.abs(left))) if left.size else 0.0
 
-    def _remove_odd(self) -> None:
-        """Drop satellites without which the others agree, and epochs that still do not."""
-        self.fixes = self._fix_epochs()
+    def _remove_odd(self) -> dict[int, Floats]:
+        """Drop satellites without which the others agree, and epochs that still do not; returns
+        the ranges of these satellites by their number."""
+        self.fixes, odd = self._fix_epochs(), dict[int, Floats]()
         while (now := self._spread(self.fixes)) > ODD_M:
             trials = [self._fix_epochs(j) for j in range(len(self.satellites))]
             spreads = [self._spread(fixes, j) or now for j, fixes in enumerate(trials)]
@@ -238,6 +238,7 @@ class _Measured:
                 f"left out: {self.satellites[j]}, whose pseudoranges are off by "
                 f"{np.nanmedian(off):.6g} m (median of {np.isfinite(off).sum()} epochs)"
             )
+            odd[j] = self.pseudorange[:, j].copy()
             self.pseudorange[:, j] = np.nan
         apart = (np.abs(self._list_residuals(self.fixes)[0]) > ODD_M).any(axis=1)
         apart |= ~np.isfinite(self.fixes[:, 0])
@@ -248,6 +249,7 @@ class _Measured:
                 f"left out: {apart.sum()} epochs without a fix, or with ranges that disagree by "
                 f"over {ODD_M:g} m"
             )
+        return odd
 
     def _remove_troposphere(self) -> None:
         """Ranges without the delay of a standard atmosphere, and without low satellites."""
@@ -353,42 +355,6 @@ def _cut_pieces(measured: _Measured, samples: InertialSamples) -> list[NDArray[n
     return np.split(rows, np.flatnonzero(apart) + 1)
 
 
-def _find_start(
-    measured: _Measured, samples: InertialSamples, rows: NDArray[np.intp], still: bool
-) -> tuple[int, NavState]:
-    """First epoch with a fix whose velocity is a heading, and the state there."""
-    fixed = rows[np.isfinite(measured.fixes[rows, 0])]
-    time = measured.time[fixed]
-    firsts = np.searchsorted(time, time - LEVELLING_S)
-    ends = np.searchsorted(time, time + LEVELLING_S, side="right")
-    for row, now, first, end in zip(fixed, time, firsts, ends, strict=True):
-        if end - first < 2 or len(rows) - np.searchsorted(rows, row) < FEWEST:
-            continue
-        position, clock = measured.fixes[row, :3], measured.fixes[row, 6:]
-        around = measured.fixes[fixed[first:end], 3:6]
-        change, velocity = np.polyfit(time[first:end] - now, around, 1)
-        C_eb = C_en = dcm_e_from_n(*ecef_to_geodetic(position)[:2])
-        if still:
-            velocity = np.zeros(3)
-        elif np.hypot(*(velocity @ C_en)[:2]) < MOVING_MPS:
-            continue
-        else:
-            felt = samples.specific_force_b[abs(samples.time - now) <= LEVELLING_S].mean(axis=0)
-            local = _join_axes(change - gravity(*position), velocity)
-            C_eb = local @ _join_axes(felt, np.array([1.0, 0.0, 0.0])).T
-        return int(row), NavState(
-            position_e=position,
-            velocity_e=velocity,
-            C_eb=C_eb,
-            clock_bias_m=clock[0],
-            clock_drift_mps=clock[1],
-        )
-    raise ValueError(
-        f"before its last {FEWEST} epochs there is no fix"
-        + f" with {MOVING_MPS:g} m/s, from which a heading follows" * (not still)
-    )
-
-
 def _compare_turns(measured: _Measured, samples: InertialSamples) -> list[str]:
     """Line about turns of the sensor that are not those of the velocity, with their cause."""
     rows = np.flatnonzero(np.isfinite(measured.fixes[:, 0]))
@@ -413,13 +379,6 @@ def _compare_turns(measured: _Measured, samples: InertialSamples) -> list[str]:
         cause = "is the unit of the axis that points down right (deg/s for rad/s)"
     found = f"the sensor turns by {math.copysign(ratio, alike):.3g} times what the velocity does"
     return [f"{found}: {cause}?"] if cause else []
-
-
-def _join_axes(first: Floats, second: Floats) -> Floats:
-    """(3, 3) axes as columns: along `first`, and `second` in the plane of the first two."""
-    x, z = first, np.cross(first, second)
-    axes = np.stack([x, np.cross(z, x), z], axis=1)
-    return np.asarray(axes / np.linalg.norm(axes, axis=0))
 
 
 def _make_recording(

@@ -19,6 +19,8 @@ _SHAPES = {
     "range_rate": "Kn",
     "satellite_position_e": "Kn3",
     "satellite_velocity_e": "Kn3",
+    "position_e": "K3",
+    "velocity_e": "K3",
 }
 LONGEST_SAMPLE_S = 0.5
 """Of an inertial sensor; over a longer time the receiver's movement is unknown."""
@@ -26,46 +28,17 @@ SAME_TIME_S = 1e-6
 """By which an epoch may be off the end of its sample, as times of files are."""
 IN_SAMPLES = "specific_force_b", "angular_rate_b"
 MAY_BE_NAN = ("pseudorange", "range_rate", "satellite_position_e", "satellite_velocity_e")
+SOLVED = "position_e", "velocity_e"  # of a receiver that measures these
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recording:
-    """Measurements of one receiver, from time zero on.
-
-    Parameters
-    ----------
-    imu_time : array_like
-        (N,) end of each sample's interval [s]; the first interval starts at 0.
-    specific_force_b, angular_rate_b : array_like
-        (N, 3) measured, body axes [m/s^2], [rad/s].
-    gnss_time : array_like
-        (K,) epochs [s], after 0, at most half a sample after the last one.  A sample in which one
-        lies is split there: both parts have its values, and the record has one sample more.
-    pseudorange, range_rate : array_like
-        (K, n) [m], [m/s]; NaN in either where a channel has no measurement.  The rate is that at
-        which the pseudorange grows, positive where the satellite moves away: minus the Doppler
-        shift times the wavelength.  The satellite's clock is taken out of both; the receiver's
-        clock stays in, and is estimated.
-    satellite_position_e, satellite_velocity_e : array_like
-        (K, n, 3) where the satellite is when the signal leaves it, in the ECEF axes of that time
-        [m], [m/s]; NaN where absent.  The Earth's rotation while the signal travels (Sagnac) is
-        the replay's part.
-
-    Raises
-    ------
-    ValueError
-        When shapes disagree, a time runs backwards, a sample is not finite, lasts longer than
-        `LONGEST_SAMPLE_S` or turns by more than a radian, or an epoch is after the samples.
-    """
+class InertialRecording:
+    """Inertial samples, and the epochs at which something else was measured."""
 
     imu_time: ArrayLike
     specific_force_b: ArrayLike
     angular_rate_b: ArrayLike
     gnss_time: ArrayLike
-    pseudorange: ArrayLike
-    range_rate: ArrayLike
-    satellite_position_e: ArrayLike
-    satellite_velocity_e: ArrayLike
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {"3": 3}
@@ -82,7 +55,7 @@ class Recording:
                         f"`{field.name}` has shape {array.shape}, but {letter} is {sizes[letter]}"
                     )
             require(
-                field.name in MAY_BE_NAN or np.isfinite(array).all(),
+                field.name in (*MAY_BE_NAN, *SOLVED) or np.isfinite(array).all(),
                 f"`{field.name}` must be finite",
             )
             array.flags.writeable = False
@@ -158,3 +131,72 @@ class Recording:
                 f"the epochs at {gnss_time[k]} and {gnss_time[k + 1]} s share a sample"
             )
         return found + 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording(InertialRecording):
+    """Measurements of one receiver, from time zero on.
+
+    Parameters
+    ----------
+    imu_time : array_like
+        (N,) end of each sample's interval [s]; the first interval starts at 0.
+    specific_force_b, angular_rate_b : array_like
+        (N, 3) measured, body axes [m/s^2], [rad/s].
+    gnss_time : array_like
+        (K,) epochs [s], after 0, at most half a sample after the last one.  A sample in which one
+        lies is split there: both parts have its values, and the record has one sample more.
+    pseudorange, range_rate : array_like
+        (K, n) [m], [m/s]; NaN in either where a channel has no measurement.  The rate is that at
+        which the pseudorange grows, positive where the satellite moves away: minus the Doppler
+        shift times the wavelength.  The satellite's clock is taken out of both; the receiver's
+        clock stays in, and is estimated.
+    satellite_position_e, satellite_velocity_e : array_like
+        (K, n, 3) where the satellite is when the signal leaves it, in the ECEF axes of that time
+        [m], [m/s]; NaN where absent.  The Earth's rotation while the signal travels (Sagnac) is
+        the replay's part.
+
+    Raises
+    ------
+    ValueError
+        When shapes disagree, a time runs backwards, a sample is not finite, lasts longer than
+        `LONGEST_SAMPLE_S` or turns by more than a radian, or an epoch is after the samples.
+    """
+
+    pseudorange: ArrayLike
+    range_rate: ArrayLike
+    satellite_position_e: ArrayLike
+    satellite_velocity_e: ArrayLike
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionRecording(InertialRecording):
+    """Positions and velocities of a receiver's own solution beside inertial samples.
+
+    Parameters
+    ----------
+    imu_time, specific_force_b, angular_rate_b, gnss_time : array_like
+        As in `Recording`.
+    position_e : array_like
+        (K, 3) ECEF [m]; a row with a NaN is an epoch without a position.
+    velocity_e : array_like, optional
+        (K, 3) with respect to the Earth, ECEF axes [m/s]; NaN where there is none, as everywhere
+        by default.
+
+    Raises
+    ------
+    ValueError
+        As of `Recording`.
+    """
+
+    position_e: ArrayLike
+    velocity_e: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        if self.velocity_e is None:
+            none = np.full(np.shape(self.position_e), np.nan)
+            object.__setattr__(self, "velocity_e", none)
+        super().__post_init__()
+
+
+AnyRecording = Recording | PositionRecording

@@ -15,9 +15,18 @@ from ..truth.noise import pad_count
 from ..truth.sensors import SensorBuffers
 from . import _kernels
 from .epoch import FILTER, ReceiverBuffers, kernel_table
-from .plausibility import ImplausibleWarning, check_recording, explain_flags, flag_epochs
-from .recording import MAY_BE_NAN, Recording
-from .tight import NavState, TightlyCoupled
+from .loose import LooselyCoupled
+from .loose_replay import list_solved, list_solved_noise, run_loose, whitened_square
+from .plausibility import (
+    ImplausibleWarning,
+    check_places,
+    check_recording,
+    explain_flags,
+    flag_epochs,
+)
+from .recording import MAY_BE_NAN, PositionRecording, Recording
+from .start import start_recording
+from .tight import NavState, TightlyCoupled, raise_attitude
 
 _SOLVED = ("position_e", "velocity_e", "C_eb", "accel_bias_b", "gyro_bias_b", "clock")
 
@@ -37,16 +46,20 @@ class Solution:
     accel_bias_b, gyro_bias_b : ndarray
         (K, 3) [m/s^2], [rad/s].
     clock_bias_m, clock_drift_mps : ndarray
-        (K,).
+        (K,); NaN of a loosely coupled receiver.
     sd : ndarray
         (K, 17) standard deviations: attitude (ECEF axes), velocity, position, accelerometer bias,
-        gyro bias, clock.
+        gyro bias, clock; of a loosely coupled receiver (K, 15): attitude, velocity, position (axes
+        east, north, up), gyro bias, accelerometer bias.
     coasting : ndarray
-        (K,) bool, whether the update was left out for want of satellites.
+        (K,) bool, whether the update was left out for want of satellites or of a solution.
     innovation : ndarray
-        (K, 2n) before the update, pseudoranges first; 0 where absent.
+        (K, 2n) before the update, pseudoranges first; 0 where absent.  Of a loosely coupled
+        receiver the n are east, north and up, positions first.
     innovation_cov : ndarray
         (K, 2n, 2n) S; row and column of the identity where absent.
+    measured : ndarray
+        (K, 2n) bool, which of them are there.
     visible : ndarray
         (K, n) bool, which channels are measured.
     filter_fields : mapping
@@ -70,6 +83,7 @@ class Solution:
     coasting: NDArray[np.bool_]
     innovation: NDArray[np.float64]
     innovation_cov: NDArray[np.float64]
+    measured: NDArray[np.bool_]
     visible: NDArray[np.bool_]
     filter_fields: Mapping[str, NDArray[np.float64]]
     flag: NDArray[np.str_]
@@ -82,30 +96,37 @@ def load_initial(buffers: ReceiverBuffers, receiver: TightlyCoupled, initial: Na
     fields["C_eb"] = initial.C_eb
     fields["accel_bias_b"] = fields["gyro_bias_b"] = 0.0
     fields["clock"] = initial.clock_bias_m, initial.clock_drift_mps
-    buffers.put_covariance(np.arange(buffers.receivers), receiver.initial_covariance())
+    P = receiver.initial_covariance()
+    raise_attitude(P, initial)
+    buffers.put_covariance(np.arange(buffers.receivers), P)
 
 
 def replay(
-    recording: Recording,
-    receiver: TightlyCoupled,
+    recording: Recording | PositionRecording,
+    receiver: TightlyCoupled | LooselyCoupled,
     *,
-    initial: NavState,
+    initial: NavState | None = None,
     noise_variance: ArrayLike | None = None,
     fields: Collection[str] = (),
 ) -> Solution:
-    """Run a tightly coupled receiver over recorded measurements.
+    """Run a receiver over recorded measurements.
 
     Parameters
     ----------
-    recording : Recording
-        Measurements from time zero on.
-    receiver : TightlyCoupled
+    recording : Recording or PositionRecording
+        Measurements from time zero on: ranges of a tightly coupled receiver, positions of a loosely
+        coupled one.
+    receiver : TightlyCoupled or LooselyCoupled
         Settings of the receiver.
-    initial : NavState
-        Navigation solution at time zero.
+    initial : NavState, optional
+        Navigation solution at time zero.  By default it is found at the first epoch that has a fix
+        and moves at 1 m/s: roll and pitch from the specific force, heading from the velocity, where
+        the first axis of the sensor looks.  The solution then has the epochs after that one.
     noise_variance : array_like, optional
         (K, 2n) measurement noise variances R [m^2, m^2/s^2], pseudoranges first; those of
-        ``receiver.noise_model`` by default.
+        ``receiver.noise_model`` by default.  Of a loosely coupled receiver (K, 6) or (6,), of the
+        positions east, north, up and then of the velocities; without velocities those of the
+        receiver by default.
     fields : collection of str
         Which of ``predicted_cov``, ``design``, ``transition`` and ``imu_delta`` are wanted of every
         epoch, for detectors that need them.
@@ -118,8 +139,8 @@ def replay(
     Raises
     ------
     ValueError
-        When measurements, initial state or noise can't be (`plausibility`), or when the receiver
-        is ``tuning="matched"`` with nothing to match.
+        When measurements, initial state or noise can't be (`plausibility`), no initial state is
+        found, or the receiver is ``tuning="matched"`` with nothing to match.
 
     Warns
     -----
@@ -151,9 +172,49 @@ def replay(
     >>> bool(replay(recording, TightlyCoupled(), initial=initial).coasting[0])
     True
     """
-    epochs, n = np.shape(recording.pseudorange)
     for name in fields:
         check_choice("field of a filter", name, FILTER)
+    time = np.asarray(recording.gnss_time)
+    run: Any
+    if isinstance(recording, PositionRecording) and isinstance(receiver, LooselyCoupled):
+        check_places(recording)
+        measured, run = list_solved(recording), run_loose
+        variance = list_solved_noise(receiver, measured, noise_variance)
+    elif isinstance(recording, Recording) and isinstance(receiver, TightlyCoupled):
+        visible, run = _list_measured(recording), _run
+        measured = np.hstack([visible, visible])
+        variance = _list_noise(receiver, measured, noise_variance)
+    else:
+        raise ValueError(
+            "a tightly coupled receiver takes a Recording, a loosely coupled one a "
+            f"PositionRecording, got {type(receiver).__name__} and {type(recording).__name__}"
+        )
+    zero = 0.0
+    if initial is None:
+        recording, initial, row = start_recording(recording)
+        measured, variance = measured[row + 1 :], variance[row + 1 :]
+        zero = float(time[row])
+    check_recording(recording, initial, measured, variance)
+
+    def misfit_with(part: Recording | PositionRecording, start: NavState) -> NDArray[np.float64]:
+        return np.asarray(run(part, receiver, start, variance)[1])
+
+    solution, misfit, by_signal = run(recording, receiver, initial, variance, fields)
+    flag = flag_epochs(misfit)
+    remark = ""
+    if flag.any():
+        remark = explain_flags(misfit_with, recording, initial, flag, misfit, by_signal)
+        remark += f" (times are those after the start at {zero:g} s)" if zero else ""
+        warnings.warn(remark, ImplausibleWarning, stacklevel=2)
+    solution["time"] += zero
+    return Solution(**solution, flag=flag, remark=remark)
+
+
+def _list_noise(
+    receiver: TightlyCoupled, measured: NDArray[np.bool_], noise_variance: ArrayLike | None
+) -> NDArray[np.float64]:
+    """(K, 2n) noise variances of ranges and rates."""
+    epochs, n = len(measured), measured.shape[1] // 2
     require(
         receiver.tuning != "augmented",
         "a replay knows no world for a receiver with `tuning` 'augmented'",
@@ -174,19 +235,7 @@ def replay(
             f"`noise_variance` must be positive and of shape {(epochs, 2 * n)}, "
             f"got shape {variance.shape}",
         )
-    visible = _list_measured(recording)
-    check_recording(recording, initial, visible, variance)
-
-    def misfit_with(part: Recording, start: NavState) -> NDArray[np.float64]:
-        return _run(part, receiver, start, variance)[1]
-
-    solution, misfit, by_signal = _run(recording, receiver, initial, variance, fields)
-    flag = flag_epochs(misfit)
-    remark = ""
-    if flag.any():
-        remark = explain_flags(misfit_with, recording, initial, flag, misfit, by_signal)
-        warnings.warn(remark, ImplausibleWarning, stacklevel=2)
-    return Solution(**solution, flag=flag, remark=remark)
+    return variance
 
 
 def _list_measured(recording: Recording) -> NDArray[np.bool_]:
@@ -247,7 +296,7 @@ def _run(
             count = 2 * visible[k].sum()
             S = buffers.seen["innovation_cov"][0]
             with np.errstate(over="ignore", invalid="ignore"):  # which are flagged
-                misfit[k] = _whitened_square(innovation, S) / count
+                misfit[k] = whitened_square(innovation, S) / count
                 part = innovation**2 / np.diagonal(S)
                 by_signal[k] = 2.0 * part.reshape(2, n).sum(axis=1) / count
         _kernels.run_epoch(*given, _kernels.UPDATE)
@@ -266,15 +315,9 @@ def _run(
         "sd": sds,
         "innovation": innovations,
         "innovation_cov": np.array(seen.pop("innovation_cov")),
+        "measured": np.hstack([visible, visible]),
         "visible": visible,
         "filter_fields": {name: np.array(rows) for name, rows in seen.items()},
         **dict(zip(_SOLVED, solved, strict=False)),
     }
     return solution, misfit, by_signal
-
-
-def _whitened_square(innovation: NDArray[np.float64], S: NDArray[np.float64]) -> float:
-    try:
-        return float(innovation @ np.linalg.solve(S, innovation))
-    except np.linalg.LinAlgError:  # S is not positive definite
-        return np.nan

@@ -218,14 +218,17 @@ class NavState:
     C_eb : array_like
         (3, 3) attitude, to ECEF from body axes.
     clock_bias_m, clock_drift_mps : float
-        Receiver clock [m], [m/s].
+        Receiver clock [m], [m/s], which a loosely coupled receiver has not.
+    attitude_sd : float
+        Least standard deviation of the attitude, whatever the receiver assumes [rad].
     """
 
     position_e: ArrayLike
     velocity_e: ArrayLike
     C_eb: ArrayLike
-    clock_bias_m: float
-    clock_drift_mps: float
+    clock_bias_m: float = 0.0
+    clock_drift_mps: float = 0.0
+    attitude_sd: float = 0.0
 
     def __post_init__(self) -> None:
         for name, shape in (("position_e", (3,)), ("velocity_e", (3,)), ("C_eb", (3, 3))):
@@ -235,7 +238,13 @@ class NavState:
                 f"`{name}` must be finite and of shape {shape}, got {array!r}",
             )
             object.__setattr__(self, name, array)
-        for name in ("clock_bias_m", "clock_drift_mps"):
+        for name in ("clock_bias_m", "clock_drift_mps", "attitude_sd"):
             value = float(getattr(self, name))
             require(math.isfinite(value), f"`{name}` must be finite, got {value}")
             object.__setattr__(self, name, value)
+
+
+def raise_attitude(P: NDArray[np.float64], initial: NavState) -> None:
+    """Raise variances of the first three states of (s, s) to those of the initial attitude."""
+    rows = np.arange(3)
+    P[rows, rows] = np.maximum(P[rows, rows], initial.attitude_sd**2)

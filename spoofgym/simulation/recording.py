@@ -8,10 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from ..core.declared import check_number
-from ..receiver import NavState, Recording
+from ..receiver import NavState, PositionRecording, Recording
 from ..truth._kernels import CHUNK, CONSTANT_ROWS, advance_biases, sense
 from ..truth.noise import BLOCK, deviates, pad_count
 from .domain import FloatArray
+from .loose import LooselyCoupledSetup
 from .simulator import run_serially
 from .tight import TightlyCoupledSetup, TightlyCoupledSimulator
 
@@ -92,6 +93,60 @@ def record_run(
         satellite_velocity_e=sky[:, :, 3:6],
     )
     return initial, recording, np.array(position_e)
+
+
+def record_loose_run(
+    setup: LooselyCoupledSetup,
+    rng: np.random.Generator,
+    *,
+    epochs: int | None = None,
+    command: Callable[[int], FloatArray | None] | None = None,
+) -> tuple[NavState, PositionRecording, FloatArray]:
+    """Run one loosely coupled receiver, and keep what it measures: as `record_run`.
+
+    Parameters
+    ----------
+    setup : LooselyCoupledSetup
+        As of `record_run`.
+    rng : Generator
+        Of the receiver.
+    epochs : int, optional
+        How many; up to the end of the command phase by default.
+    command : callable, optional
+        As of `record_run`.
+
+    Returns
+    -------
+    initial : NavState
+        Navigation solution where the episode starts.
+    recording : PositionRecording
+        Inertial samples and positions since then.
+    position_e : ndarray
+        (K, 3) estimated after every epoch, ECEF [m].
+    """
+    victim = setup.simulator(1, run_serially)
+    victim.start_episodes([rng])
+    filters, onset = victim.victims, int(victim.ages[0])
+    count = onset + setup.steps if epochs is None else epochs
+    check_number("epochs", count, least=1, most=setup.length, whole=True)
+    start = (getattr(filters.state, name)[0] for name in ("position_e", "velocity_e", "C_eb"))
+    initial = NavState(**dict(zip(("position_e", "velocity_e", "C_eb"), start, strict=True)))
+    parts = []
+    for k in range(count):
+        victim.predict(None if command is None or k < onset else command(k - onset))
+        measured = filters.samples[0].copy(), filters.fix_e[0].copy()
+        victim.update(None)
+        parts.append((*measured, victim.position[0].copy()))
+    samples, fixes, position_e = map(np.array, zip(*parts, strict=True))
+    imu, step = samples.reshape(-1, 6), setup.world.imu_interval_s
+    recording = PositionRecording(
+        imu_time=step * np.arange(1, len(imu) + 1),
+        specific_force_b=imu[:, :3],
+        angular_rate_b=imu[:, 3:],
+        gnss_time=setup.interval_s * np.arange(1, count + 1),
+        position_e=fixes,
+    )
+    return initial, recording, position_e
 
 
 def _next_samples(victim: TightlyCoupledSimulator) -> FloatArray:

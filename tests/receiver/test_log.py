@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from spoofgym import InnovationLog
 from spoofgym.calibration.log import cut_windows, judge_log
 from spoofgym.detectors import make_detector
 from spoofgym.receiver import replay
+from spoofgym.receiver.epoch import FILTER
 from spoofgym.simulation import Engine, TightlyCoupledSetup
 from spoofgym.simulation.recording import record_run
 
@@ -74,6 +76,36 @@ def test_a_log_of_the_engine_gives_its_statistics_to_the_last_bit(signals, tmp_p
     assert 0.8 < left < 1.0 if signals == "pseudorange" else left < 0.2
     assert any("correlations" in line for line in table.list_remarks())
     assert not any("correlations" in line for line in log.list_remarks())
+
+
+def test_tests_of_ranges_and_of_separation_judge_a_log_that_has_what_they_need(tmp_path):
+    timeline = {"warmup_s": 10.0, "live_s": 10.0}
+    for spec, more in ({"name": "raim", "sigma_m": 2.5}, True), ("solution-separation", False):
+        detector = make_detector(spec)
+        setup = TightlyCoupledSetup(scenario="zhong2025", detector=detector, timeline=timeline)
+        initial, recording, _ = record_run(setup, np.random.default_rng(4), epochs=60)
+        solution = replay(recording, setup.receiver, initial=initial, fields=FILTER)
+        log = InnovationLog.from_replay(solution, recording if more else None)
+        log = InnovationLog.load(log.save(tmp_path / "run.npz"))
+        (found,) = judge_log(log, [spec])
+        engine = Engine(1, setup, threads=1)
+        engine.reset([np.random.default_rng(4)])
+        ratio = []
+        for _ in range(60 - int(engine.simulator.onset[0])):
+            engine.step(np.zeros((1, len(setup.action_names))))
+            ratio.append(engine.simulator.ratio()[0])
+        # the log has the position after the update
+        np.testing.assert_allclose(found.ratio[-len(ratio) :], ratio, rtol=1e-3)
+        assert max(ratio) > 0.0
+    half = {name: x for name, x in log.more.items() if name != "predicted_position"}
+    with pytest.raises(ValueError, match="needs predicted_position of every epoch"):
+        judge_log(replace(log, more=half), ["solution-separation"])
+    with pytest.raises(ValueError, match="needs the 17 states of a tightly coupled receiver"):
+        judge_log(replace(log, velocity=()), ["solution-separation"])
+    with pytest.raises(
+        ValueError, match=r"ranges need .*, got pseudorange, predicted_position alone"
+    ):
+        replace(log, more={**log.more, "pseudorange": np.zeros(log.visible.shape)})
 
 
 def test_a_filter_of_ones_own_is_judged_unchanged_and_its_ramp_found(clean):
@@ -183,7 +215,7 @@ def test_a_detector_says_what_the_log_lacks(clean):
     with pytest.raises(ValueError, match=r"raim needs pseudorange, .* which the log does not have"):
         judge_log(clean, ["raim"])
     augmented = make_detector({"name": "solution-separation", "filter": "augmented"})
-    with pytest.raises(ValueError, match=r"which the log does not have|filter of its own"):
+    with pytest.raises(ValueError, match="needs a model of all errors for a filter of its own"):
         judge_log(clean, [augmented])
 
 

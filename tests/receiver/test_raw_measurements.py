@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from spoofgym import InnovationLog
+from spoofgym.calibration.log import bind_to_log
 from spoofgym.data.ephemerides import gps_seconds
 from spoofgym.data.inertial import read_inertial
 from spoofgym.data.observations import read_observations
 from spoofgym.data.rinex import read_navigation
 from spoofgym.earth.wgs84 import dcm_e_from_n, geodetic_to_ecef
+from spoofgym.receiver.epoch import FILTER
+from spoofgym.receiver.log import RANGES
 from spoofgym.receiver.raw_measurements import (
     _compare_turns,
     _Measured,
@@ -120,7 +123,7 @@ def test_one_command_writes_the_log(files, tmp_path):
     result = call("log", "import", *names, "--mapping", files / "imu.toml", "-o", out)
     assert "piece 1 starts at 0.00 s" in result.stdout
     log = InnovationLog.load(out)
-    assert {"design", "transition", "predicted_cov", "imu_delta", "axes"} == set(log.more)
+    assert {*FILTER, *RANGES, "axes"} == set(log.more)
     assert refused("log", "import", *names, "-o", out).count("--mapping")
     for idle in (("--grade", "tactical"), ("--noise-factors", "2", "2")):
         assert "for raw measurements" in refused("log", "import", out, "-o", out, *idle)
@@ -182,7 +185,7 @@ def test_a_counterfeit_is_seen_in_what_was_found(data_folder):
     seen = read_observations(folder / "COM8_220214_013336.obs")
     assert len(set(seen.segment.tolist())) == 4
     orbits = read_navigation(folder / "hksc045a.22n")
-    log, solutions = solve_raw(seen, orbits, None, noise_factors=(13.0, 1.0))
+    log, solutions = solve_raw(seen, orbits, None, noise_factors=(13.0, 1.0), keep_odd=True)
     text = "\n".join(log.about["lines"])
     off = float(text.split("G31, whose pseudoranges are off by ")[1].split()[0])
     assert off == pytest.approx(-98_700.0, abs=100.0)
@@ -193,6 +196,14 @@ def test_a_counterfeit_is_seen_in_what_was_found(data_folder):
     for _, solution in solutions:
         assert np.linalg.norm(solution.position_e[-1] - true) < 150.0
     assert [len(x.time) for _, x in solutions] == [283, 297, 299, 173]
+    # a test of ranges blames it in every scene, wherever it is measured
+    detector, _ = bind_to_log({"name": "raim", "sigma_m": 100.0}, log)
+    odd, alarmed, blamed = log.channels.index("G31"), [], []
+    for epoch in log.epochs():
+        alarmed.append(bool(detector.judge(epoch).alarm.any()))
+        blamed.append(detector.memory["group"][0, odd] == 2)
+    counts = [(np.array(x)[log.segment == k].sum()) for x in (alarmed, blamed) for k in range(1, 5)]
+    assert counts == [188, 269, 268, 173, 188, 268, 268, 173]
 
 
 def test_turns_that_are_not_those_of_the_velocity_are_named(drive, files):

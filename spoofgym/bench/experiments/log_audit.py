@@ -265,7 +265,7 @@ class LogAudit(Experiment):
             alert_limit_m=limit,
             runs=played.runs,
             selection_runs=self.panels[0].runs,
-            entropy=0,
+            entropy=None,
             families=tuple(families),
             false_alarms=dict(found["false"].arrays),
             window_s=every.replay.epochs * every.replay.interval_s,

@@ -48,9 +48,10 @@ def _wrap(text: str, bullet: str = "") -> list[str]:
 
 def _head(found: dict[str, Any]) -> Iterator[str]:
     yield f"{found['task']}: {found['title']}"
+    drawn = "" if found["entropy"] is None else f", seed {found['entropy']}"  # None of a log
     yield (
         f"{found['detector']}: {found['runs']} runs of each of {len(found['families'])} families, "
-        f"chosen on {found['selection_runs']} ({found['budget']}, seed {found['entropy']})"
+        f"chosen on {found['selection_runs']} ({found['budget']}{drawn})"
     )
     yield ""
 

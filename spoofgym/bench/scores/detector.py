@@ -89,7 +89,7 @@ class DetectorScore:
     - `task`, `detector`: which ones;
     - `alert_limit_m`: error that must not be exceeded unnoticed [m];
     - `runs`, `selection_runs`, `entropy`: evaluation runs of every family, those that attacks were
-      chosen on, and the seed of all;
+      chosen on, and the seed of all, None of a log, where nothing is drawn;
     - `families`: scores by family; the worst one counts;
     - `false_alarms` (R,) bool by name: runs without an attack that alarm, in the judged window
       alone, and in all monitored time, without an event and with one;
@@ -101,7 +101,7 @@ class DetectorScore:
     alert_limit_m: float
     runs: int
     selection_runs: int
-    entropy: int
+    entropy: int | None
     families: tuple[FamilyScore, ...]
     false_alarms: Mapping[str, NDArray[np.bool_]]
     window_s: float
