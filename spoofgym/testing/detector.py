@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..detectors import Detector, Verdict
 from ..detectors.base import UndeclaredFieldError, check_needs, check_verdict, describe_undeclared
 from ..detectors.build import bare_detector
+from ..detectors.isolated import Isolated, is_foreign
 from ..policies.card import DetectorCard
 from ..receiver.epoch import Epoch, TracedEpoch
 from .ages import can_fly, check_ages, check_stationary
@@ -88,13 +89,9 @@ def check_detector(
     >>> check_detector({"name": "ewma", "smoothing": 0.2})
     """
     unbound = bare_detector(detector)
-    _check_declarations(unbound)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        for script in list_scripts(unbound.measures, unbound.card):
-            trial = _DetectorTrial(unbound, script)
-            _check_bound_again(trial)
-            _check_verdicts(trial)
+        for trial in check_verdicts(unbound):
             run_trial(trial)
         if unbound.card is None:
             _check_windows(unbound)
@@ -102,6 +99,19 @@ def check_detector(
         check_stationary(unbound)
         if can_fly(unbound):
             check_ages(unbound)
+
+
+def check_verdicts(unbound: Detector) -> list[_DetectorTrial]:
+    """Check what no run can do without: what a detector declares, and its verdicts on all epochs.
+    Returns the trials of the rest."""
+    _check_declarations(unbound)
+    trials = [
+        _DetectorTrial(unbound, each) for each in list_scripts(unbound.measures, unbound.card)
+    ]
+    for trial in trials:
+        _check_bound_again(trial)
+        _check_verdicts(trial)
+    return trials
 
 
 def list_scripts(measures: str, card: DetectorCard | None = None) -> list[Script]:
@@ -195,8 +205,8 @@ def judge_with_trace(detector: Detector, epoch: TracedEpoch) -> Verdict:
 
 def _check_declarations(detector: Detector) -> None:
     check_described(detector, "detector")
-    kind = type(detector).__name__
-    paper, outside = detector.paper, not type(detector).__module__.startswith("spoofgym.")
+    kind, paper = detector.label or type(detector).__name__, detector.paper
+    outside = is_foreign(detector) or isinstance(detector, Isolated)
     require_contract(
         isinstance(paper, str) and (bool(paper.strip()) or (outside and not paper)),
         f"`{kind}.paper` must be a key in references.bib, for a classic too, got {paper!r}",
@@ -299,7 +309,8 @@ def _check_windows(unbound: Detector) -> None:
         _, old = _judge_all(unbound, steady, epochs)
         firsts = [_first_alarm(verdicts) for verdicts in (young, old)]
         forgets.append(_count_differing(young, old[WINDOW_EPOCHS:]))
-    kind, silent, (early, late) = type(unbound).__name__, bound.silent_epochs, firsts
+    kind = unbound.label or type(unbound).__name__
+    silent, (early, late) = bound.silent_epochs, firsts
     require_contract(
         silent <= min(firsts) or min(firsts) == WINDOW_EPOCHS,
         f"`{kind}.silent_epochs` is {silent}, but there is an alarm after {min(firsts)} epochs",

@@ -17,7 +17,7 @@ from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
 from spoofgym.bench.scores.audit import AgeProbe, Audit
 from spoofgym.bench.scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
 from spoofgym.bench.scores.scores import SHARES
-from spoofgym.detectors import Calibrated, Never
+from spoofgym.detectors import Calibrated, Never, Verdict
 from spoofgym.tasks import EVENTS
 
 from ..outside.detectors import AverageRate, BlindAfterFiveMinutes, GrowingThreshold
@@ -242,6 +242,21 @@ def test_figures_are_those_of_one_process_in_shards_and_in_several(passes, tmp_p
     assert not results.missing
     found = cells.conclude(results)
     assert {**found.as_dict(), "cost_us": 0.0} == {**expected.as_dict(), "cost_us": 0.0}
+
+
+class Flat(AverageRate):
+    def judge(self, epoch):
+        return Verdict(*(part[:, 0] for part in super().judge(epoch)[:3]))
+
+
+def test_what_no_run_can_do_without_is_checked_before_anything_plays():
+    said = []
+    with pytest.raises(ValueError, match=r"Flat: on .*`statistic` must have shape \(5, 1\)"):
+        module.check_contract(Flat, said.append)
+    assert module.check_contract(Whim, said.append) is Whim
+    assert module.check_contract("never", said.append) == "never"
+    (text,) = said
+    assert text.startswith("Whim breaks the contract of detectors, and is audited as it is: When")
 
 
 def test_a_quick_audit_scales_everything():

@@ -7,7 +7,7 @@ the ones found play the evaluation runs, which have decided nothing.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from ...core.progress import ProgressBar
 from ...detectors import detector_in_world
 from ...detectors.build import bare_detector
 from ...detectors.calibrated import resolve_thresholds, unwrap
-from ...detectors.isolated import isolate
 from ...receiver.log import InnovationLog
 from ...simulation.simulator import weighs
 from ...tasks import DetectorTask
@@ -25,6 +24,7 @@ from ..scores.audit import Audit
 from ..scores.detector import DetectorScore
 from ..search.bounds import expect_onset
 from .audit_cells import AuditCells, AuditPlan
+from .audit_worlds import check_contract
 from .calibration import calibrate_players
 from .log_audit import LogAuditor
 from .runner import Experiment, run_experiment
@@ -56,10 +56,9 @@ class Auditor(AuditPlan):
         show: ProgressBar | None = None,
         say: Callable[[str], None] = lambda _: None,
     ) -> AuditCells:
-        """Cells of a detector, which is calibrated first; `say` is given how long both take. A
-        foreign one that is given as text has a process of its own."""
-        detector = isolate(detector) if isinstance(detector, str | Mapping) else detector
-        detector = detector_in_world(detector) if isinstance(detector, type) else detector
+        """Cells of a detector, which is checked and calibrated first; `say` is given how long that
+        and the audit take."""
+        detector = check_contract(detector, say)
         judge, worlds = detector_in_world(detector), self.worlds  # whose process all below share
         (entry,), world = specify_detectors([detector]), worlds.world.setup
         bare, missing = unwrap(bare_detector(detector)), 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from ...core.settings import compute_digest, describe
 from ...detectors import Detector, LearnedDetector, detector_in_world
+from ...detectors.build import bare_detector
 from ...detectors.calibrated import resolve_thresholds, unwrap
+from ...detectors.isolated import is_foreign, isolate
 from ...envs.context import spoofer_context
 from ...simulation.setup import Setup
 from ...simulation.simulator import weighs
@@ -65,6 +67,30 @@ def find_trained_holdout(judge: Detector, task: DetectorTask) -> str | None:
         return None
     met = "quiet" if training.get("task") in QUIET_TASKS else "inherited"
     return met if met in {family.key for family in task.held_out} else None
+
+
+def check_contract(detector: Any, say: Callable[[str], None]) -> Any:
+    """A detector to audit: a foreign one that is given as text in a process of its own.
+
+    What no run can do without, such as the shape of a verdict, is checked at once, unless it is one
+    of the package's own; of other promises that it breaks `say` is given the first.
+    """
+    from ...testing.detector import check_detector, check_verdicts
+
+    given = isolate(detector) if isinstance(detector, str | Mapping) else detector
+    judge = bare_detector(given)
+    if judge.card is None and not is_foreign(judge if isinstance(detector, type) else detector):
+        return given
+    name = judge.label or type(judge).__name__
+    try:
+        check_verdicts(judge)
+    except AssertionError as error:
+        raise ValueError(f"{name}: {error}") from error
+    try:
+        check_detector(judge)
+    except (AssertionError, RuntimeWarning) as error:
+        say(f"{name} breaks the contract of detectors, and is audited as it is: {error}")
+    return given
 
 
 class Worlds:
