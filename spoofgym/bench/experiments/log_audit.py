@@ -44,8 +44,17 @@ from ..search.backends import ReplayBackend
 from ..search.log_attack import make_context, play_spoofer
 from ..search.open_loop import search_aims
 from .audit_cells import write_attacks
-from .audit_sizes import AGAIN, AGES, AGES_S, ALIKE, BUDGETS, FALSE_ALARMS, RAMPS, SEARCHED
-from .audit_worlds import check_contract
+from .audit_worlds import (
+    AGAIN,
+    AGES,
+    AGES_S,
+    ALIKE,
+    BUDGETS,
+    FALSE_ALARMS,
+    RAMPS,
+    SEARCHED,
+    check_contract,
+)
 from .runner import Context, Experiment
 from .store import Cell, Reader, Result
 
