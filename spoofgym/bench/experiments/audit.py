@@ -96,10 +96,11 @@ def audit(
 ) -> Audit:
     """Audit a detector: what the worst attack of a task's families does to it, and how surely.
 
-    It is calibrated first where that has not been done.  Each family's attacks are then chosen
-    against it, and play runs that have decided nothing.  P(HMI | attack) is how often the error
-    that an attack induces exceeds the alert limit with no alarm up to the time to alert after it,
-    over the runs that are silent before the onset and without an attack; the worst family counts.
+    One that is not the package's own is checked first, in seconds; each is calibrated where that
+    has not been done.  Each family's attacks are then chosen against it, and play runs that have
+    decided nothing.  P(HMI | attack) is how often the error that an attack induces exceeds the
+    alert limit with no alarm up to the time to alert after it, over the runs that are silent before
+    the onset and without an attack; the worst family counts.
 
     Parameters
     ----------
@@ -120,7 +121,8 @@ def audit(
     **settings
         ``runs`` and ``selection_runs``: evaluation runs of every family, which decide nothing, and
         runs that its attacks are chosen on; by default those of the budget.  ``families``: keys of
-        those that are played; by default all of the task.  ``entropy``: seed of all of them; by
+        those that are played; by default all of the task, and ``"shipped"`` where shipped spoofers
+        were made for the detector and fit the task's world.  ``entropy``: seed of all of them; by
         default it is drawn, so that a detector that plays known seeds itself gains nothing, and a
         folder keeps that of its first audit.  ``threads``: of the engine.  ``folder``: its folder
         of the task holds what is finished, and the worst attacks; a killed process goes on there.
@@ -133,7 +135,8 @@ def audit(
     Raises
     ------
     ValueError
-        When a task or a family is unknown, or a number is out of range.
+        When a task or a family is unknown, a number is out of range, or the detector lacks what no
+        run can do without.
 
     Examples
     --------
