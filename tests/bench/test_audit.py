@@ -258,7 +258,7 @@ def test_shipped_spoofers_that_were_made_for_a_detector_are_a_family(task, detec
     auditor = Auditor(task, "quick", entropy=0, threads=1)
     assert auditor.families[-1] == module.TRAINED
     found = auditor.worlds.list_attacks(module.TRAINED, specify_detector(detector))
-    assert [each.player.spec["name"] for each in found] == names
+    assert [each.player.spec["file"] for each in found] == names
 
 
 def test_where_none_was_made_for_a_detector_the_family_is_left_out_or_refused():
