@@ -168,7 +168,7 @@ def _instantiate(kind: type[Detector]) -> Detector:
 def bare_detector(spec: DetectorSpec) -> Detector:
     """As `make_detector`, but it takes a class, too, and a file needs no threshold: its request for
     one is ignored."""
-    if isinstance(spec, type):
+    if isinstance(spec, type) and issubclass(spec, Detector):
         return _instantiate(spec)
     load = _loader(spec)
     return make_detector(spec) if load is None else load(_as_mapping(spec))

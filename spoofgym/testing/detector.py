@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..detectors import Detector, Verdict
 from ..detectors.base import UndeclaredFieldError, check_needs, check_verdict, describe_undeclared
-from ..detectors.build import bare_detector
+from ..detectors.build import DetectorSpec, bare_detector
 from ..detectors.isolated import Isolated, is_foreign
 from ..policies.card import DetectorCard
 from ..receiver.epoch import Epoch, TracedEpoch
@@ -47,9 +47,7 @@ UNDECLARED_EPOCHS = 2
 """Memory or silence that needs no word, such as that of a difference of neighbours."""
 
 
-def check_detector(
-    detector: Detector | Mapping[str, Any] | str, *, stationary: bool = False
-) -> None:
+def check_detector(detector: DetectorSpec, *, stationary: bool = False) -> None:
     """Check that a detector keeps its contract.
 
     It is bound, fed with epochs of a run of the default scenario and with made-up ones (satellites
@@ -70,9 +68,9 @@ def check_detector(
 
     Parameters
     ----------
-    detector : Detector, str or mapping
-        What `make_detector` takes; an ``.onnx`` file needs no threshold on its card.  The object
-        itself is left as it is.
+    detector : Detector, str, mapping or type
+        What `make_detector` takes, or a class that needs no settings; an ``.onnx`` file needs no
+        threshold on its card.  The object itself is left as it is.
     stationary : bool
         Whether what it finds must not depend on the time since it was switched on, either: at 3, 10
         and 30 min, by `check_stationary`, and by `check_ages` where a tightly coupled receiver has
