@@ -268,6 +268,7 @@ def audit_spoofer(text: str, options: AuditOptions) -> Audited:
     from ..bench.report.page import load_replay, write_page
     from ..bench.runs.players import add_tuned_setting, specify_spoofer
     from ..core.registry import slug
+    from ..envs.spoofer_binding import MisfitError
     from ..tasks import get_detector_task
 
     check_log_options(options)
@@ -296,8 +297,8 @@ def audit_spoofer(text: str, options: AuditOptions) -> Audited:
         )
         try:
             suite.world.check_fit((), suite.spoofer_players)
-        except ValueError as error:
-            if "--set " not in str(error):
+        except MisfitError as error:
+            if not error.options:
                 raise
             raise ValueError(
                 f"{error} to `spoofgym bench`: an audit plays in the world of {task.key} alone"

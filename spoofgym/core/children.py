@@ -1,4 +1,4 @@
-"""Processes for code and files of others: what they inherit, their limits, and messages."""
+"""Processes: memory of this one; those for code and files of others, their limits, messages."""
 
 from __future__ import annotations
 
@@ -23,6 +23,12 @@ def child_environment() -> dict[str, str]:
     """Environment variables with which Python finds the same modules, and has one thread."""
     paths = os.pathsep.join(filter(None, sys.path))
     return {**os.environ, **ONE_THREAD, "PYTHONPATH": paths}
+
+
+def release_free_memory() -> None:
+    """Give back to the system what large arrays have left free, where the C library can."""
+    with suppress(AttributeError, OSError, TypeError):  # of another system
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def limit_resources(memory: int, cpu_s: int | None = None) -> None:

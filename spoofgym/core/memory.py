@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Mapping
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .registry import require
-
-
-def release_free_memory() -> None:
-    """Give back to the system what large arrays have left free, where the C library can."""
-    with suppress(AttributeError, OSError, TypeError):  # of another system
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 class Memory(dict[str, NDArray[Any]]):

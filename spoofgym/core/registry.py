@@ -234,6 +234,9 @@ def load_class(path: str, base: Callable[..., T]) -> type[T]:
             f"the module of {path!r} raises {type(error).__name__} when it is imported: {error}"
         ) from error
     found = getattr(module, name, None)
+    if found is None:
+        hint = suggest_name(name, vars(module))
+        raise ValueError(f"{path!r}: the module {module_name} has no {name!r}{hint}")
     if not (isinstance(found, type) and issubclass(found, kind)):
         raise ValueError(
             f"{path!r} must be a class derived from {kind.__module__}.{kind.__qualname__}"

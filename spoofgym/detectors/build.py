@@ -143,11 +143,8 @@ def detector_in_world(spec: DetectorSpec, false_alarms_per_hour: float | None = 
     """
     rate = false_alarms_per_hour
     if isinstance(spec, type) and issubclass(spec, Detector):
-        try:
-            made = spec()
-        except TypeError as error:
-            raise ValueError(f"detector {spec.__name__}: {error}") from error
-        return detector_in_world(made, calibrated.DEFAULT_RATE if rate is None else rate)
+        rate = calibrated.DEFAULT_RATE if rate is None else rate
+        return detector_in_world(_instantiate(spec), rate)
     if rate is None:
         return _build(spec, calibrated.DEFAULT_RATE)
     given = _as_mapping(spec)
@@ -161,8 +158,18 @@ def detector_in_world(spec: DetectorSpec, false_alarms_per_hour: float | None = 
     return with_thresholds(_build(given, None), {"false_alarms_per_hour": rate})
 
 
-def bare_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
-    """As `make_detector`, but a file needs no threshold: its request for one is ignored."""
+def _instantiate(kind: type[Detector]) -> Detector:
+    try:
+        return kind()
+    except TypeError as error:
+        raise ValueError(f"detector {kind.__name__}: {error}") from error
+
+
+def bare_detector(spec: DetectorSpec) -> Detector:
+    """As `make_detector`, but it takes a class, too, and a file needs no threshold: its request for
+    one is ignored."""
+    if isinstance(spec, type) and issubclass(spec, Detector):
+        return _instantiate(spec)
     load = _loader(spec)
     return make_detector(spec) if load is None else load(_as_mapping(spec))
 

@@ -30,6 +30,7 @@ from ..core.children import (
     limit_resources,
 )
 from ..core.memory import Memory
+from ..core.registry import require
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict, is_sound, judge_epoch
 from .build import bare_detector
@@ -71,6 +72,7 @@ class Server:
             self.original = dataclasses.replace(self.original, alarm_scale=alarm_scale)  # type: ignore[type-var]
         self.detector, self.context = copy.deepcopy(self.original), context
         self.detector.bind(context)
+        require(hasattr(self.detector, "memory"), "`bind` must call `super().bind(context)`")
         return self.describe_bound()
 
     def restore(self, content: bytes) -> Any:

@@ -148,8 +148,9 @@ class SpoofCore:
         check_truth("prefetch", prefetch)
         ends = None if end is None else make_terms("end", end)
         _check_overruled(length_m, alarm_price, reward, end_at_alarm, ends)
-        self.length_m = float(setup.scales["length_m"] if length_m is None else length_m)
-        check_number("length_m", self.length_m, above=0.0)
+        length = setup.scales["length_m"] if length_m is None else length_m
+        check_number("length_m", length, above=0.0)
+        self.length_m = float(length)
         check_number("alarm_price", alarm_price, least=0.0)
         actions = default_action(setup) if action is None else make_terms("action", action)
         self.commands = CommandMap(actions, setup)

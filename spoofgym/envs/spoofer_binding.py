@@ -42,6 +42,15 @@ SHAPING = (*WORLD, "decision_interval_s", "between")
 """Settings of a world on which it depends what a spoofer observes and how it acts."""
 
 
+class MisfitError(ValueError):
+    """A policy does not fit an attack. `options`: of the command line, that make the world which it
+    was made for; "" where none do."""
+
+    def __init__(self, message: str, options: str = "") -> None:
+        super().__init__(message)
+        self.options = options
+
+
 def attach(spoofer: SpooferSpec, env: Any, *, transfer: bool = False) -> Spoofer:
     """Spoofer that is ready to command the receivers of an environment.
 
@@ -95,7 +104,7 @@ def attach(spoofer: SpooferSpec, env: Any, *, transfer: bool = False) -> Spoofer
                 )  # which looks its thresholds up by a rate
             found = misfits + format_card_diff(_settings(made_for), _settings(core.setup))
         if found:
-            hint = f" ({suggest_settings(card, core.setup)})" if misfits else ""
+            hint = f" ({suggest_settings(card, core.setup)[0]})" if misfits else ""
             hint += "" if transfer else " (`transfer=True` allows for other settings alone)"
             raise ValueError(
                 f"{card.name!r} was made for another environment{hint}:\n  " + "\n  ".join(found)
@@ -173,19 +182,20 @@ def _apply_pace(setup: Setup, spoofer: Spoofer) -> Setup:
         raise error if card is None else _misfit(card, str(error), setup) from error
 
 
-def _misfit(card: SpooferCard, found: str, setup: Setup) -> ValueError:
-    added = suggest_settings(card, setup)
-    return ValueError(f"{card.name!r} does not fit this attack: {found}; {added}")
+def _misfit(card: SpooferCard, found: str, setup: Setup) -> MisfitError:
+    added, options = suggest_settings(card, setup)
+    return MisfitError(f"{card.name!r} does not fit this attack: {found}; {added}", options)
 
 
-def suggest_settings(card: SpooferCard, setup: Setup) -> str:
-    """What to add to a world that a policy does not fit, as options of the command line."""
+def suggest_settings(card: SpooferCard, setup: Setup) -> tuple[str, str]:
+    """What to add to a world that a policy does not fit, in words, and as options of the command
+    line."""
     try:
         made_for = setup_of_card(card)
     except ValueError as error:
-        return str(error)
+        return str(error), ""
     if type(made_for) is not type(setup):
-        return f"it was trained in {card.env_id}"
+        return f"it was trained in {card.env_id}", ""
     settings = find_card_settings(card)[1]
     own, here = _settings(made_for), _settings(setup)
     names = [name for name in SHAPING if own.get(name) != here.get(name)]
@@ -199,7 +209,8 @@ def suggest_settings(card: SpooferCard, setup: Setup) -> str:
     usual = {name: each.default for name, each in list_parameters(type(setup)).items()}
     given = {name: json.dumps(describe({**usual, **settings}[name])) for name in names}
     options = " ".join(f"--set {name}={shlex.quote(value)}" for name, value in given.items())
-    return f"trained in another world, add {options}" if options else "trained for other actions"
+    text = f"trained in another world, add {options}" if options else "trained for other actions"
+    return text, options
 
 
 def find_card_settings(card: SpooferCard) -> tuple[type[Setup], dict[str, Any]]:

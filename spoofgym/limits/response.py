@@ -24,7 +24,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.memory import release_free_memory
+from ..core.children import release_free_memory
 from ..detectors import Detector, DetectorContext, PooledDetector, SolutionSeparation, Verdict
 from ..detectors.base import BoolArray, FloatArray, IntArray, check_needs, judge_epoch
 from ..detectors.calibrated import unwrap

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from ..detectors import Detector, Verdict
 from ..detectors.base import UndeclaredFieldError, check_needs, check_verdict, describe_undeclared
-from ..detectors.build import bare_detector
+from ..detectors.build import DetectorSpec, bare_detector
+from ..detectors.isolated import Isolated, is_foreign
 from ..policies.card import DetectorCard
 from ..receiver.epoch import Epoch, TracedEpoch
 from .ages import can_fly, check_ages, check_stationary
@@ -46,9 +47,7 @@ UNDECLARED_EPOCHS = 2
 """Memory or silence that needs no word, such as that of a difference of neighbours."""
 
 
-def check_detector(
-    detector: Detector | Mapping[str, Any] | str, *, stationary: bool = False
-) -> None:
+def check_detector(detector: DetectorSpec, *, stationary: bool = False) -> None:
     """Check that a detector keeps its contract.
 
     It is bound, fed with epochs of a run of the default scenario and with made-up ones (satellites
@@ -69,9 +68,9 @@ def check_detector(
 
     Parameters
     ----------
-    detector : Detector, str or mapping
-        What `make_detector` takes; an ``.onnx`` file needs no threshold on its card.  The object
-        itself is left as it is.
+    detector : Detector, str, mapping or type
+        What `make_detector` takes, or a class that needs no settings; an ``.onnx`` file needs no
+        threshold on its card.  The object itself is left as it is.
     stationary : bool
         Whether what it finds must not depend on the time since it was switched on, either: at 3, 10
         and 30 min, by `check_stationary`, and by `check_ages` where a tightly coupled receiver has
@@ -88,13 +87,9 @@ def check_detector(
     >>> check_detector({"name": "ewma", "smoothing": 0.2})
     """
     unbound = bare_detector(detector)
-    _check_declarations(unbound)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        for script in list_scripts(unbound.measures, unbound.card):
-            trial = _DetectorTrial(unbound, script)
-            _check_bound_again(trial)
-            _check_verdicts(trial)
+        for trial in check_verdicts(unbound):
             run_trial(trial)
         if unbound.card is None:
             _check_windows(unbound)
@@ -102,6 +97,19 @@ def check_detector(
         check_stationary(unbound)
         if can_fly(unbound):
             check_ages(unbound)
+
+
+def check_verdicts(unbound: Detector) -> list[_DetectorTrial]:
+    """Check what no run can do without: what a detector declares, and its verdicts on all epochs.
+    Returns the trials of the rest."""
+    _check_declarations(unbound)
+    trials = [
+        _DetectorTrial(unbound, each) for each in list_scripts(unbound.measures, unbound.card)
+    ]
+    for trial in trials:
+        _check_bound_again(trial)
+        _check_verdicts(trial)
+    return trials
 
 
 def list_scripts(measures: str, card: DetectorCard | None = None) -> list[Script]:
@@ -195,8 +203,8 @@ def judge_with_trace(detector: Detector, epoch: TracedEpoch) -> Verdict:
 
 def _check_declarations(detector: Detector) -> None:
     check_described(detector, "detector")
-    kind = type(detector).__name__
-    paper, outside = detector.paper, not type(detector).__module__.startswith("spoofgym.")
+    kind, paper = detector.label or type(detector).__name__, detector.paper
+    outside = is_foreign(detector) or isinstance(detector, Isolated)
     require_contract(
         isinstance(paper, str) and (bool(paper.strip()) or (outside and not paper)),
         f"`{kind}.paper` must be a key in references.bib, for a classic too, got {paper!r}",
@@ -299,7 +307,8 @@ def _check_windows(unbound: Detector) -> None:
         _, old = _judge_all(unbound, steady, epochs)
         firsts = [_first_alarm(verdicts) for verdicts in (young, old)]
         forgets.append(_count_differing(young, old[WINDOW_EPOCHS:]))
-    kind, silent, (early, late) = type(unbound).__name__, bound.silent_epochs, firsts
+    kind = unbound.label or type(unbound).__name__
+    silent, (early, late) = bound.silent_epochs, firsts
     require_contract(
         silent <= min(firsts) or min(firsts) == WINDOW_EPOCHS,
         f"`{kind}.silent_epochs` is {silent}, but there is an alarm after {min(firsts)} epochs",

@@ -9,15 +9,16 @@ import pytest
 import spoofgym
 from spoofgym.bench.experiments import audit_worlds as module
 from spoofgym.bench.experiments.audit import Auditor
-from spoofgym.bench.experiments.audit_cells import BUDGETS
+from spoofgym.bench.experiments.audit_cells import BUDGETS, AuditCells
 from spoofgym.bench.experiments.runner import run_experiment
 from spoofgym.bench.experiments.store import Store
 from spoofgym.bench.report.audit import LINES, WIDTH, format_screen
+from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
 from spoofgym.bench.scores.audit import AgeProbe, Audit
 from spoofgym.bench.scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
 from spoofgym.bench.scores.scores import SHARES
-from spoofgym.detectors import Calibrated, Never
+from spoofgym.detectors import Calibrated, Never, Verdict
 from spoofgym.tasks import EVENTS
 
 from ..outside.detectors import AverageRate, BlindAfterFiveMinutes, GrowingThreshold
@@ -242,6 +243,46 @@ def test_figures_are_those_of_one_process_in_shards_and_in_several(passes, tmp_p
     assert not results.missing
     found = cells.conclude(results)
     assert {**found.as_dict(), "cost_us": 0.0} == {**expected.as_dict(), "cost_us": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("task", "detector", "names"),
+    [
+        ("D1", "snapshot-chi2", ["snapshot-chi2-ppo"]),
+        ("D1", "aime", ["hidden-pool-ppo"]),
+        ("D1", "never", []),
+        ("D2", "snapshot-chi2", []),  # whose decisions take longer
+    ],
+)
+def test_shipped_spoofers_that_were_made_for_a_detector_are_a_family(task, detector, names):
+    auditor = Auditor(task, "quick", entropy=0, threads=1)
+    assert auditor.families[-1] == module.TRAINED
+    found = auditor.worlds.list_attacks(module.TRAINED, specify_detector(detector))
+    assert [each.player.spec["file"] for each in found] == names
+
+
+def test_where_none_was_made_for_a_detector_the_family_is_left_out_or_refused():
+    auditor = Auditor(small_task(), "quick", entropy=0, threads=1, families=["shipped"])
+    with pytest.raises(ValueError, match="no shipped spoofer was made for never and fits small"):
+        auditor.prepare("never")
+    cells = AuditCells(auditor, auditor.worlds.build_detectors(["never"]), scores_only=True)
+    with pytest.raises(ValueError, match="no shipped spoofer"):
+        list(cells.cells())
+
+
+class Flat(AverageRate):
+    def judge(self, epoch):
+        return Verdict(*(part[:, 0] for part in super().judge(epoch)[:3]))
+
+
+def test_what_no_run_can_do_without_is_checked_before_anything_plays():
+    said = []
+    with pytest.raises(ValueError, match=r"Flat: on .*`statistic` must have shape \(5, 1\)"):
+        module.check_contract(Flat, said.append)
+    assert module.check_contract(Whim, said.append) is Whim
+    assert module.check_contract("never", said.append) == "never"
+    (text,) = said
+    assert text.startswith("Whim breaks the contract of detectors, and is audited as it is: When")
 
 
 def test_a_quick_audit_scales_everything():

@@ -87,6 +87,8 @@ def test_a_class_of_the_user():
         specify_detector(Forgetful())
     with pytest.raises(ValueError, match="there is no module 'nowhere'"):
         load_class("nowhere:Thing", Detector)
+    with pytest.raises(ValueError, match="has no 'Ramq'; did you mean 'Ramp'"):
+        load_class("spoofgym.spoofers:Ramq", Detector)
     with pytest.raises(ValueError, match=r"must be a class derived from spoofgym\.detectors\.base"):
         load_class("spoofgym.spoofers:Ramp", Detector)
     with pytest.raises(ValueError, match="unexpected keyword argument 'smooth'"):

@@ -428,6 +428,6 @@ def test_what_warns_or_is_no_detector_is_refused():
     with pytest.raises(RuntimeWarning, match="invalid value encountered in divide"):
         check_detector(MeanOfNone())
     with pytest.raises(TypeError, match="a detector is a name"):
-        check_detector(Sum)
+        check_detector(dict)
     with pytest.raises(ValueError, match=r"unknown detector 'ewna'.*did you mean 'ewma'"):
         check_detector("ewna")

@@ -28,6 +28,7 @@ NO_FILTER = (
         (LOOSE, {"target_heading_deg": "east"}, "target_heading_deg.*'east'"),
         (SNAPSHOT, {"alarm_price": -1.0}, "`alarm_price` must be a number of at least 0, got -1"),
         (TIGHT, {"length_m": 0.0}, "`length_m` must be a number above 0, got 0.0"),
+        (TIGHT, {"length_m": "long"}, "`length_m` must be a number above 0, got 'long'"),
         (TIGHT, {"timeline": {"warmup_s": 500.0}}, "lasts 418 s"),
         (LOOSE, {"decision_interval_s": 0.25}, "a multiple of the interval between epochs, 0.1 s"),
         (TIGHT, {"decision_interval_s": 2.0}, "attack window of 15 s must hold a whole number"),

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from spoofgym.bench.experiments.audit_sizes import BUDGETS
+from spoofgym.bench.experiments.audit_worlds import BUDGETS
 from tools.audit_check import SIZES, check_detector, list_costs
 
 from ..bench.detector_support import NOMINAL, small_task

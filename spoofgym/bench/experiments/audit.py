@@ -7,7 +7,7 @@ the ones found play the evaluation runs, which have decided nothing.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from ...core.progress import ProgressBar
 from ...detectors import detector_in_world
 from ...detectors.build import bare_detector
 from ...detectors.calibrated import resolve_thresholds, unwrap
-from ...detectors.isolated import isolate
 from ...receiver.log import InnovationLog
 from ...simulation.simulator import weighs
 from ...tasks import DetectorTask
@@ -25,6 +24,7 @@ from ..scores.audit import Audit
 from ..scores.detector import DetectorScore
 from ..search.bounds import expect_onset
 from .audit_cells import AuditCells, AuditPlan
+from .audit_worlds import check_contract
 from .calibration import calibrate_players
 from .log_audit import LogAuditor
 from .runner import Experiment, run_experiment
@@ -56,10 +56,9 @@ class Auditor(AuditPlan):
         show: ProgressBar | None = None,
         say: Callable[[str], None] = lambda _: None,
     ) -> AuditCells:
-        """Cells of a detector, which is calibrated first; `say` is given how long both take. A
-        foreign one that is given as text has a process of its own."""
-        detector = isolate(detector) if isinstance(detector, str | Mapping) else detector
-        detector = detector_in_world(detector) if isinstance(detector, type) else detector
+        """Cells of a detector, which is checked and calibrated first; `say` is given how long that
+        and the audit take."""
+        detector = check_contract(detector, say)
         judge, worlds = detector_in_world(detector), self.worlds  # whose process all below share
         (entry,), world = specify_detectors([detector]), worlds.world.setup
         bare, missing = unwrap(bare_detector(detector)), 0
@@ -97,10 +96,11 @@ def audit(
 ) -> Audit:
     """Audit a detector: what the worst attack of a task's families does to it, and how surely.
 
-    It is calibrated first where that has not been done.  Each family's attacks are then chosen
-    against it, and play runs that have decided nothing.  P(HMI | attack) is how often the error
-    that an attack induces exceeds the alert limit with no alarm up to the time to alert after it,
-    over the runs that are silent before the onset and without an attack; the worst family counts.
+    One that is not the package's own is checked first, in seconds; each is calibrated where that
+    has not been done.  Each family's attacks are then chosen against it, and play runs that have
+    decided nothing.  P(HMI | attack) is how often the error that an attack induces exceeds the
+    alert limit with no alarm up to the time to alert after it, over the runs that are silent before
+    the onset and without an attack; the worst family counts.
 
     Parameters
     ----------
@@ -121,7 +121,8 @@ def audit(
     **settings
         ``runs`` and ``selection_runs``: evaluation runs of every family, which decide nothing, and
         runs that its attacks are chosen on; by default those of the budget.  ``families``: keys of
-        those that are played; by default all of the task.  ``entropy``: seed of all of them; by
+        those that are played; by default all of the task, and ``"shipped"`` where shipped spoofers
+        were made for the detector and fit the task's world.  ``entropy``: seed of all of them; by
         default it is drawn, so that a detector that plays known seeds itself gains nothing, and a
         folder keeps that of its first audit.  ``threads``: of the engine.  ``folder``: its folder
         of the task holds what is finished, and the worst attacks; a killed process goes on there.
@@ -134,7 +135,8 @@ def audit(
     Raises
     ------
     ValueError
-        When a task or a family is unknown, or a number is out of range.
+        When a task or a family is unknown, a number is out of range, or the detector lacks what no
+        run can do without.
 
     Examples
     --------

@@ -11,8 +11,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
+from ...core.children import release_free_memory
 from ...core.files import write_file
-from ...core.memory import release_free_memory
 from ...core.registry import check_choice, slug, whole_number
 from ...core.settings import compute_digest, describe, outside_sources
 from ...detectors import detector_in_world
@@ -41,8 +41,18 @@ from ..search.attack_suite import (
 )
 from ..search.bounds import DisplacementBounds
 from ..search.open_loop import AIMS, OpenLoopSearch
-from .audit_sizes import AGES, BUDGETS, FALSE_ALARMS, FLOOR, RAMPS, SEARCHED
-from .audit_worlds import NEAR_ALARM, ScoredDetector, Worlds
+from .audit_worlds import (
+    AGES,
+    BUDGETS,
+    FALSE_ALARMS,
+    FLOOR,
+    NEAR_ALARM,
+    RAMPS,
+    SEARCHED,
+    TRAINED,
+    ScoredDetector,
+    Worlds,
+)
 from .runner import Context, Experiment
 from .store import Cell, Reader, Result
 from .suite import DETECTOR_FILE, stored_cards
@@ -94,7 +104,10 @@ class AuditPlan:
         keys = [each.key for each in self.task.families] if families is None else list(families)
         if not keys:
             raise ValueError("`families` must name at least one family of attacks, got none")
-        self.families = tuple(self.task.family(key) for key in dict.fromkeys(keys))
+        if families is None:
+            keys.append(TRAINED.key)
+        own = {TRAINED.key: TRAINED}
+        self.families = tuple(own.get(key) or self.task.family(key) for key in dict.fromkeys(keys))
         root = None if folder is None else Path(folder)
         self.folder = None if root is None else root / self.task.key
         drawn = draw_entropy(root) if entropy is None else entropy
@@ -133,15 +146,21 @@ class AuditCells(Experiment):
         """Cells by key, each with its family, or what it is in place of one, and its defence."""
         found, passive = {}, sum(each.passive for each in self.detectors)
         for part in (*self.of.families, FALSE_ALARMS, *(() if self.scores_only else (AGES,))):
-            plays, shared = self._expect_plays(part), part != AGES
+            shared = part != AGES
             if isinstance(part, AttackFamily):
                 shared = part.onset != NEAR_ALARM
             name = part if isinstance(part, str) else part.key
             for each in self.detectors:
+                if part == TRAINED and (self.scores_only or not self._list_attacks(part, each)):
+                    continue
                 shares = shared and each.passive
                 group = f"{name}: {f'{passive} detectors' if shares else each.player.label}"
                 key, identity = self._identity(name, part, each)
+                plays = self._expect_plays(part, each)
                 found[key] = Cell(key, identity, plays, group=group), part, each
+        if not any(isinstance(part, AttackFamily) for _, part, _ in found.values()):
+            label = self.detectors[0].player.label
+            raise ValueError(f"no shipped spoofer was made for {label} and fits {self.of.task.key}")
         worlds = self.of.size.floor_worlds
         if not (self.scores_only or worlds == 0 or "floor_m" in self.card):
             named = {"worlds": worlds, "entropy": self.of.entropy, "rate": self.requested_per_hour}
@@ -150,13 +169,16 @@ class AuditCells(Experiment):
             found[key] = Cell(key, named, work, group=FLOOR), FLOOR, self.detectors[0]
         return found
 
-    def _expect_plays(self, part: AttackFamily | str) -> float:
+    def _list_attacks(self, part: AttackFamily, defence: ScoredDetector) -> tuple[SuiteAttack, ...]:
+        return self.of.worlds.list_attacks(part, defence.player)
+
+    def _expect_plays(self, part: AttackFamily | str, defence: ScoredDetector) -> float:
         size, runs = self.of.size, float(self.of.runs)
         if part == AGES:
             return float(size.twins * size.ages * (len(RAMPS) + 1))
         if isinstance(part, str):
             return runs * (1 + len(EVENTS))
-        members = len(self.of.worlds.list_attacks(part))
+        members = len(self._list_attacks(part, defence))
         if SEARCHED in part.letters:
             members += len(AIMS) + len(self.card.get("optima_mps", {}))
         plays = expected_plays(members, self.of.selection, self.of.runs, ROUNDS)
@@ -189,6 +211,8 @@ class AuditCells(Experiment):
             named["runs"] = [self.of.size.twins, self.of.size.ages, self.of.entropy]
         elif isinstance(part, AttackFamily) and SEARCHED in part.letters:
             named["search"] = asdict(self.of.size.search)
+        elif part == TRAINED:
+            named["spoofers"] = [each.player.spec for each in self._list_attacks(TRAINED, defence)]
         return f"{key} {compute_digest(named)[:8]}", named
 
     def cells(self) -> Iterator[Cell]:
@@ -220,7 +244,7 @@ class AuditCells(Experiment):
     ) -> Iterator[Result]:
         worlds = self.of.worlds
         where = {"onset": family.onset, **self.of.task.get_overrides(family)}
-        own: list[tuple[SuiteAttack, ...]] = [worlds.list_attacks(family)] * len(group)
+        own = [self._list_attacks(family, each) for each in group]
         heads: list[dict[str, Any]] = [{"detector": each.player.label} for each in group]
         transfers: tuple[SuiteAttack, ...] = ()
         if SEARCHED in family.letters:

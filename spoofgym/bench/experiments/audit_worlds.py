@@ -1,10 +1,10 @@
-"""Runs of an audit: a task's worlds at their onsets, and one detector at several ages."""
+"""Sizes and runs of audits: a task's worlds at their onsets, one detector at several ages."""
 
 from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 
 from ...core.settings import compute_digest, describe
 from ...detectors import Detector, LearnedDetector, detector_in_world
+from ...detectors.build import bare_detector
 from ...detectors.calibrated import resolve_thresholds, unwrap
+from ...detectors.isolated import is_foreign, isolate
 from ...envs.context import spoofer_context
+from ...policies import SpooferCard, load_card
 from ...simulation.setup import Setup
 from ...simulation.simulator import weighs
 from ...tasks import CANDIDATES, AttackFamily, DetectorTask
@@ -25,6 +28,7 @@ from ..runs.players import (
     TUNED,
     PlayerSpec,
     add_tuned_setting,
+    fitting,
     specify_detectors,
     specify_spoofer,
 )
@@ -36,11 +40,46 @@ from ..search.amplitude import Tuning, with_rates
 from ..search.attack_suite import SuiteAttack, list_fitting_attacks
 from ..search.bounds import DisplacementBounds
 from ..search.open_loop import OpenLoopSearch, Optima
-from .audit_sizes import AGAIN, AGES_S, ALIKE, LIVE_AFTER_S, RAMPS
 from .training_attacks import QUIET_TASKS
 
+
+class AuditBudget(NamedTuple):
+    """Size of an audit.
+
+    - `runs`: evaluation runs of every family; `selection_runs`: those that its attacks are chosen
+      on; `search`: of profiles against the detector;
+    - `twins`: runs of every age; `ages`: how many of `AGES_S`;
+    - `floor_worlds`: worlds of the floor where none is stored, None for all, 0 for no floor.
+    """
+
+    runs: int
+    selection_runs: int
+    search: OpenLoopSearch
+    twins: int
+    ages: int
+    floor_worlds: int | None
+
+
+BUDGETS = {
+    "quick": AuditBudget(40, 24, OpenLoopSearch(runs=96, batch=24, generations=6), 16, 4, 0),
+    "standard": AuditBudget(400, 96, OpenLoopSearch(runs=256), 64, 5, 4),
+    "full": AuditBudget(1500, 384, OpenLoopSearch(), 192, 5, None),
+}
+"""Sizes by their names: about 1, 3 and 12 minutes of a processor for a plain detector in D1."""
+SEARCHED = "o"
+"""Letter of a family whose profiles are looked for against each detector."""
+AGES_S, LIVE_AFTER_S = (30.0, 180.0, 600.0, 1800.0, 5400.0), 10.0
+"""From switch-on to the onsets at which a detector meets the same ramps, and until it is live."""
+RAMPS = (0.6, 1.2, 2.4, 4.8, 9.6)
+"""How far these ramps displace by the end of the attack, in parts of the alert limit."""
+FALSE_ALARMS, AGES, FLOOR = "false alarms", "ages", "floor"
+"""Cells that are of no family."""
+AGAIN, ALIKE = 8, 1e-6
+"""Runs that are judged twice, and the largest difference of the two, in parts."""
 SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
 """Profiles of the letter c."""
+TRAINED = AttackFamily("shipped", "shipped spoofers that were trained against it elsewhere", "s")
+"""Family of an audit alone, where there are some, and not of a task's score."""
 CACHED_PANELS = 24
 """Panels that are held in memory, the youngest ones."""
 NEAR_ALARM = "chance-alarm"
@@ -65,6 +104,30 @@ def find_trained_holdout(judge: Detector, task: DetectorTask) -> str | None:
         return None
     met = "quiet" if training.get("task") in QUIET_TASKS else "inherited"
     return met if met in {family.key for family in task.held_out} else None
+
+
+def check_contract(detector: Any, say: Callable[[str], None]) -> Any:
+    """A detector to audit: a foreign one that is given as text in a process of its own.
+
+    What no run can do without, such as the shape of a verdict, is checked at once, unless it is one
+    of the package's own; of other promises that it breaks `say` is given the first.
+    """
+    from ...testing.detector import check_detector, check_verdicts
+
+    given = isolate(detector) if isinstance(detector, str | Mapping) else detector
+    judge = bare_detector(given)
+    if judge.card is None and not is_foreign(judge if isinstance(detector, type) else detector):
+        return given
+    name = judge.label or type(judge).__name__
+    try:
+        check_verdicts(judge)
+    except AssertionError as error:
+        raise ValueError(f"{name}: {error}") from error
+    try:
+        check_detector(judge)
+    except (AssertionError, RuntimeWarning) as error:
+        say(f"{name} breaks the contract of detectors, and is audited as it is: {error}")
+    return given
 
 
 class Worlds:
@@ -213,9 +276,21 @@ class Worlds:
         attacks = tuple(SuiteAttack("c", with_rates(spoofer, [*x])) for x in sorted(curves))
         return attacks, bounds.zero_alarm(detector.player).as_json()
 
-    def list_attacks(self, family: AttackFamily) -> tuple[SuiteAttack, ...]:
-        """Attacks of a family, each with one setting that is looked for; none of one whose profiles
-        are looked for, too."""
+    @cached_property
+    def shipped(self) -> dict[str, set[str]]:
+        """Shipped spoofers that fit the task's world, with the detectors that each was made for."""
+        made_for = {}
+        for name in fitting(self.world.setup)[0]:
+            detector = load_card(name, SpooferCard).env_kwargs["detector"]
+            made_for[name] = {x["name"] for x in (detector, *detector.get("members", ()))}
+        return made_for
+
+    def list_attacks(self, family: AttackFamily, detector: PlayerSpec) -> tuple[SuiteAttack, ...]:
+        """Attacks of a family on a detector, each with one setting that is looked for; none of one
+        whose profiles are looked for, too."""
+        if family == TRAINED:
+            names = [x for x, made_for in self.shipped.items() if detector.spec["name"] in made_for]
+            return tuple(SuiteAttack("s", specify_spoofer(add_tuned_setting(x))) for x in names)
         if family.letters == "m":
             spec = {**(family.attack or {}), "antenna_m": TUNED}
             return (SuiteAttack("m", PlayerSpec("meaconer", ATTACK, spec, "antenna_m")),)

@@ -8,7 +8,7 @@ that answers, other signals or other worlds are left out.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +24,6 @@ from ...core.registry import check_choice, slug
 from ...core.settings import compute_digest, describe
 from ...detectors import detector_in_world
 from ...detectors.calibrated import find_requested_rate
-from ...detectors.isolated import isolate
 from ...limits.log_replay import FEWEST_WINDOWS, RATE_LIMIT_MPS, LogReplay
 from ...receiver.log import InnovationLog
 from ...tasks import AttackFamily, get_detector_task
@@ -45,7 +44,17 @@ from ..search.backends import ReplayBackend
 from ..search.log_attack import make_context, play_spoofer
 from ..search.open_loop import search_aims
 from .audit_cells import write_attacks
-from .audit_sizes import AGAIN, AGES, AGES_S, ALIKE, BUDGETS, FALSE_ALARMS, RAMPS, SEARCHED
+from .audit_worlds import (
+    AGAIN,
+    AGES,
+    AGES_S,
+    ALIKE,
+    BUDGETS,
+    FALSE_ALARMS,
+    RAMPS,
+    SEARCHED,
+    check_contract,
+)
 from .runner import Context, Experiment
 from .store import Cell, Reader, Result
 
@@ -122,13 +131,13 @@ class LogAuditor:
         say: Callable[[str], None] = lambda _: None,
     ) -> LogAudit:
         """Cells of a detector, with thresholds of the log's own windows."""
-        spec = isolate(detector) if isinstance(detector, str | Mapping) else detector
+        spec = check_contract(detector, say)
         rate = self.requested_per_hour or find_requested_rate(detector_in_world(spec))
         factor = 1.0
         if rate is not None:
             window_s = self.times["attack_s"] + self.times["time_to_alert_s"]
             factor = judge_log(self.log, [spec], rate, window_s)[0].factor
-        return LogAudit(self, spec, specify_detector(detector).label, rate, factor)
+        return LogAudit(self, spec, specify_detector(spec).label, rate, factor)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from .table import Table, format_number, interval, metres, percent
 LINES, WIDTH = 39, 100
 LABEL, VALUE = 34, 40  # characters of the first two columns
 NO_REFERENCE = "no score of a non-learned detector is stored for this task"
-BY = {"audit": "by the same families", "campaign": "in a campaign"}
+BY = {"audit": "by the task's families", "campaign": "in a campaign"}
 """Where a reference's figures come from."""
 Row = dict[str, Any]
 REFERENCES = ("open-loop", "accelerating-ramp")

@@ -49,6 +49,9 @@ class Estimate(NamedTuple):
             for name, number in self._asdict().items()
         }
 
+    def __str__(self) -> str:
+        return interval(self.as_json())
+
 
 NOTHING = Estimate(math.nan, math.nan, math.nan)
 
