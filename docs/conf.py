@@ -7,107 +7,27 @@ and in a checkout.  A warning is an error; nothing is downloaded.
 from __future__ import annotations
 
 import pkgutil
+import re
 import types
 from pathlib import Path
 
 import latex2mathml.converter
 import scipy.stats  # noqa: F401  (before torch is mocked, of whose classes it asks)
-from docutils.nodes import SkipNode
+from docutils.nodes import SkipNode, Text, raw
+from docutils.nodes import entry as entry_node
 from sphinx.addnodes import desc_annotation
 
 import spoofgym
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {"README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "docs"}
-CONTENTS = """
-```{toctree}
-:hidden:
-:caption: Start
-docs/README
-docs/tutorials/what_a_detector_misses
-docs/tutorials/train_a_spoofer
-docs/tutorials/audit_a_detector
-docs/environments
-docs/catalogue
-docs/command_line
-docs/glossary
-docs/simulated
-docs/costs
-docs/own_data
-docs/logs
-docs/walk
-docs/train_your_own
-docs/learned_spoofers
-docs/learned_recipe
-docs/learned_detectors
-docs/learned_defaults
-docs/train_your_own_detector
-docs/withdrawn_detector
-docs/rl_libraries
-docs/learn_with_budget
-```
-```{toctree}
-:hidden:
-:caption: Environments
-docs/terms
-docs/offsets
-docs/corrections
-docs/wrappers
-docs/detector_wrapper
-docs/own_observation_term
-docs/learning
-docs/cheaper_episodes
-docs/cuda
-docs/duel
-docs/self_play
-docs/game
-docs/double_oracle
-docs/tasks
-docs/detector_tasks
-docs/threats
-docs/worlds
-docs/calibration
-docs/calibration_worlds
-docs/audit
-docs/submit
-docs/isolation
-docs/promises
-docs/reliability
-docs/scores
-docs/alarm_budget
-docs/suite
-docs/limits
-docs/zero_alarm
-docs/feedback_worth
-docs/validation
-docs/checks
-docs/rendering
-```
-```{toctree}
-:hidden:
-:glob:
-:caption: One environment each
-docs/environments/*
-```
-```{toctree}
-:hidden:
-:caption: Papers
-:glob:
-docs/papers
-docs/papers/*
-```
-```{toctree}
-:hidden:
-:caption: The library
-docs/architecture
-docs/tree
-docs/performance
-docs/api/README
-CONTRIBUTING
-SECURITY
-CHANGELOG
-```
-"""
+TREE = "\n```{toctree}\n:hidden:\n:glob:\n:caption: %s\n%s\n```\n"
+MORE = {
+    "Tutorials": ["docs/README"],
+    "Start": ["docs/environments/*"],
+    "The library": ["CONTRIBUTING", "SECURITY", "CHANGELOG"],
+}
+"""Pages that docs/README.md does not list, by its headings."""
 
 project, author, version = "spoofgym", "The spoofgym developers", spoofgym.__version__
 extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
@@ -136,9 +56,24 @@ numpydoc_show_class_members = False
 
 
 def add_contents(app, docname, source):
-    """Let the first page list all others, which on GitHub it does in its text."""
+    """Let the first page list all others, by the headings and the rows of docs/README.md."""
     if docname == root_doc:
-        source[0] += CONTENTS
+        for part in (ROOT / "docs/README.md").read_text().split("\n## ")[1:]:
+            caption = part.splitlines()[0]
+            pages = [f"docs/{x}" for x in re.findall(r"^\| \[.*?\]\((.*?)\.\w+\)", part, re.M)]
+            source[0] += TREE % (caption, "\n".join(pages + MORE.get(caption, [])))
+
+
+def break_specs(app, doctree, docname):
+    """Let a long word of a table, such as a detector with its settings, break at its marks."""
+    for entry in doctree.findall(entry_node):
+        for text in list(entry.findall(Text)):
+            if max(map(len, text.split()), default=0) > 16:
+                pieces = re.split(r"(?<=[(,=/_])", text)
+                marks = [
+                    x for each in pieces for x in (raw("", "<wbr>", format="html"), Text(each))
+                ]
+                text.parent.replace(text, marks[1:])
 
 
 def silence(app, env, node, contnode):
@@ -192,6 +127,7 @@ def setup(app):
     """Called by Sphinx."""
     app.add_html_math_renderer("mathml", (write_formula, None), (write_formula, None))
     app.connect("source-read", add_contents)
+    app.connect("doctree-resolved", break_specs)
     app.connect("autodoc-process-docstring", first_paragraph)
     app.connect("autodoc-process-signature", written_defaults)
     app.connect("autodoc-skip-member", skip_alias)

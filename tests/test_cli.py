@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
 import typer
 
@@ -154,6 +155,43 @@ def test_run_draws_one_attack():
     assert Path("a.png").is_file()
     assert "undetected_displacement_m" in call("run", *SHORT, "--no-picture").output
     assert not Path("episode.png").exists()
+
+
+def test_epochs_and_runs_are_written_for_matlab_and_as_parquet():
+    from pyarrow.parquet import read_table
+    from scipy.io import loadmat
+
+    env = ["--env", "spoofgym/Snapshot-v0", "--attack-s", "6"]
+    for folder, line in {
+        "run": ("run", *env, "--spoofer", "step:size_m=20", "--json", "--out"),
+        "report": ("report", "small", "--json", "--out"),
+    }.items():
+        if folder == "report":
+            cells = ("--runs", "3", "--spoofer", "ramp:rate_mps=0.4", "--detector", "raim")
+            read("bench", *env, "--nominal", *cells, "--out", "small", "--json", "--threads", "1")
+        summary, _ = (read(*line, f"{folder}{ending}") for ending in (".mat", ".parquet"))
+        table, found = read_table(f"{folder}.parquet"), loadmat(f"{folder}.mat")
+        assert set(table.column_names) == {name for name in found if name[:2] != "__"}
+        for name in table.column_names:
+            values = found[name]
+            if values.dtype == object:  # cells of texts
+                values = np.array([each.item() for each in values[:, 0]])
+            column = np.array(table[name].to_pylist())
+            assert np.array_equal(
+                column.reshape(values.shape), values, equal_nan=column.dtype.kind == "f"
+            )
+        if folder == "run":
+            error = found["induced_error_m"][found["time_s"][:, 0] > 0.0]
+            assert error.max() >= summary["largest_error_m"] - 1e-4
+            assert found["error_ned_m"].shape[1] >= 2
+        else:
+            mine = CampaignResults.load("small").runs("raim", "ramp(rate_mps=0.4)")
+            pairs = zip(*(table[x].to_pylist() for x in ("detector", "spoofer")), strict=True)
+            rows = [pair == ("raim", "ramp(rate_mps=0.4)") for pair in pairs]
+            column = np.array(table["undetected_displacement_m"])[rows]
+            assert mine is not None
+            assert np.array_equal(column, mine.displacement_m)
+    assert "ending of `--out`" in refused("report", "small", "--out", "small.csv")
 
 
 def test_the_other_victims_are_played_by_their_environment():

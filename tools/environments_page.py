@@ -104,7 +104,7 @@ def build_detector_page() -> str:
 
 
 def draw_episode(name: str) -> Iterator[Any]:
-    """Frames of an episode, at most 40, half as large."""
+    """Frames of an episode, at most 40."""
     env: Any = gym.make(f"spoofgym/{name}-v0", detector="never", render_mode="rgb_array")
     env.reset(seed=2)
     action = env.action_space.sample() * 0.0
@@ -114,7 +114,7 @@ def draw_episode(name: str) -> Iterator[Any]:
         *_, over, _, _ = env.step(action)
         step += 1
         if over or not step % every:
-            yield env.render()[::2, ::2]
+            yield env.render()
 
 
 if __name__ == "__main__":

@@ -174,6 +174,9 @@ def bench(
 
 def report(
     folder: Annotated[Path, Argument(help="Folder of the results.")] = Path("results"),
+    out: Annotated[
+        Path | None, Option(help="Every run of a campaign as a row, too: file, .mat or .parquet.")
+    ] = None,
     as_json: opt.Json = False,
     verbose: Verbose = False,
 ) -> None:
@@ -184,12 +187,19 @@ def report(
     from ..bench.report.detector_page import build_scores_page
     from ..bench.report.game_page import build_game_page
     from ..bench.report.page import load_output, load_replay, write_page
+    from ..core.files import COLUMN_FILES, write_columns
+    from ..core.registry import check_choice
 
     store = Store(folder)
     store.reopen()
     kind = store.config["experiment"]
+    if out is not None:
+        check_choice("ending of `--out`", out.suffix.lower(), COLUMN_FILES)
+        check_choice("experiment with a table of runs", kind, ("campaign",))
     if kind == "campaign":
         results = CampaignResults.load(folder)
+        if out is not None:
+            write_columns(out, results.columns())
         if not as_json:
             print_lines(WorstRows(results.config).list_new(results))
         _report(results, as_json, None, verbose)

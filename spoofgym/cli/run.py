@@ -36,7 +36,7 @@ def run(
         Path,
         Option(
             help="File of the picture, .png without an ending; an animation by .gif, .webp, or "
-            ".mp4, which needs FFmpeg."
+            ".mp4, which needs FFmpeg; every epoch as numbers by .mat or .parquet."
         ),
     ] = Path("episode.png"),
     picture: Annotated[bool, Option(help="Draw the picture.")] = True,
@@ -51,9 +51,12 @@ def run(
     """Play one run of the benchmark and its clean twin: a summary, and a picture or animation."""
     from ..bench.report.table import FIELDS
     from ..bench.runs.episode import draw_episode, play_episode
+    from ..core.files import COLUMN_FILES, check_pyarrow, write_columns
     from ..core.plots import check_picture
     from ..envs.rendering.animation import WRITERS, animation_writer
 
+    numbers = out.suffix.lower() in COLUMN_FILES
+    picture = picture and not numbers
     animated = out.suffix.lower() in WRITERS
     if picture:
         try:
@@ -61,6 +64,8 @@ def run(
         except ImportError as error:
             typer.echo(f"no picture: {error}", err=True)
             picture = False
+    if out.suffix.lower() == ".parquet":
+        check_pyarrow()
     if picture and animated:
         animation_writer(out, fps)
     suite, judge, player, reports = _suite(options)
@@ -68,6 +73,9 @@ def run(
         print_lines((*suite.notes, *suite.captions))
     episode = play_episode(suite.world, judge, player, options.number, options.seed)
     summary = episode.summary()
+    if numbers:
+        write_columns(out, episode.columns())
+        summary["epochs"] = str(out)
     if picture and animated:
         _animate(suite, judge, player, options, out, fps, every)
         summary["picture"] = str(out)

@@ -3,18 +3,54 @@
 from __future__ import annotations
 
 import errno
+import importlib.util
+import io
 import os
 import platform
 import re
 import time
 import uuid
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 _PART = re.compile(r"spoofgym-([0-9a-f]{8})-(\d+)-[0-9a-f]{32}\.part")
 STALE_S = 7 * 86_400.0  # age at which a temporary file, of any machine, counts as left behind
+
+
+COLUMN_FILES = (".mat", ".parquet")
+
+
+def check_pyarrow() -> None:
+    """An ImportError that names the extra, where Parquet can't be written."""
+    if importlib.util.find_spec("pyarrow") is None:
+        raise ImportError("Parquet needs pyarrow: pip install spoofgym[flights]")
+
+
+def write_columns(path: Path, columns: Mapping[str, Any], head: Mapping[str, str] = {}) -> None:
+    """Arrays of equal first length as a Parquet table, further axes as lists, with `head` as its
+    metadata; or as variables of a MATLAB file (version 5), texts as cells."""
+    buffer = io.BytesIO()
+    if path.suffix.lower() == ".mat":
+        from scipy.io import savemat
+
+        texts = {k: v.astype(object) for k, v in columns.items() if v.dtype.kind == "U"}
+        savemat(buffer, {**columns, **texts}, do_compression=True, oned_as="column")
+    else:
+        check_pyarrow()
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        arrays = {}
+        for name, values in columns.items():
+            arrays[name] = pa.array(values.reshape(-1))
+            if values.ndim > 1:
+                width = values.size // len(values)
+                arrays[name] = pa.FixedSizeListArray.from_arrays(arrays[name], width)
+        pq.write_table(pa.table(arrays).replace_schema_metadata(dict(head)), buffer)
+    write_file(path, buffer.getvalue())
 
 
 def write_file(path: Path, content: bytes, *, exclusive: bool = False) -> None:

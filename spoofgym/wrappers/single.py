@@ -12,8 +12,6 @@ off leaves whole files; a later run into the same folder counts on.
 
 from __future__ import annotations
 
-import importlib.util
-import io
 import json
 import os
 import re
@@ -25,7 +23,7 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import NDArray
 
-from ..core.files import remove_stale_parts, write_file
+from ..core.files import check_pyarrow, remove_stale_parts, write_columns
 from ..detectors import Verdict
 from ..detectors.build import DetectorSpec
 from ..envs.core import EpochSpec, SpoofCore, WatchSpec
@@ -46,8 +44,7 @@ class EpochRecorder:
     """Recorder of the receivers of a core, into a folder that it makes; a `Listener`."""
 
     def __init__(self, folder: str | Path, receivers: int) -> None:
-        if importlib.util.find_spec("pyarrow") is None:
-            raise ImportError("recording needs pyarrow; install it with the extra `flights`")
+        check_pyarrow()
         self.folder = Path(folder)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -103,30 +100,13 @@ class EpochRecorder:
                 "satellite_ids": list(self._satellites),
                 **self._pool,
             }
-            write_file(self.folder / name, _as_parquet(self._rows[row], head))
+            columns = {key: np.stack(values) for key, values in self._rows[row].items()}
+            columns = {key: x for key, x in columns.items() if x.size}  # no satellites, no columns
+            write_columns(self.folder / name, columns, {"spoofgym": json.dumps(head)})
             written.append(self.folder / name)
             self._rows[row] = {}
             self._episode[row] += 1
         return written
-
-
-def _as_parquet(columns: dict[str, list[Array]], head: dict[str, Any]) -> bytes:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    arrays = {}
-    for name, values in columns.items():
-        stacked = np.stack(values)
-        if not stacked.size:  # a receiver that takes positions has no satellites in view
-            continue
-        flat = pa.array(stacked.reshape(-1))
-        if stacked.ndim > 1:
-            flat = pa.FixedSizeListArray.from_arrays(flat, stacked.shape[1])
-        arrays[name] = flat
-    table = pa.table(arrays).replace_schema_metadata({"spoofgym": json.dumps(head)})
-    buffer = io.BytesIO()
-    pq.write_table(table, buffer)
-    return buffer.getvalue()
 
 
 class SingleWrapper(_Base, RecordConstructorArgs):

@@ -15,6 +15,9 @@ from itertools import groupby, product
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ...core.progress import ProgressCallback
 from ...core.settings import compute_digest
 from ...detectors.calibrated import resolve_thresholds
@@ -93,6 +96,24 @@ class CampaignResults:
         """What a pair did."""
         found = self._get(RUNS, detector, spoofer)
         return None if found is None else RunRecord.from_parts(found.arrays, found.record)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """All finished runs as columns (R,): detector, spoofer, run, and what all pairs record."""
+        sides = ([each["label"] for each in self.config[x]] for x in ("detectors", "spoofers"))
+        found = [each for pair in product(*sides) if (each := self.runs(*pair)) is not None]
+        if not found:
+            raise ValueError(f"{self.path} holds no finished cell yet")
+        tables = [
+            {
+                "detector": np.full(each.runs, each.detector),
+                "spoofer": np.full(each.runs, each.spoofer),
+                "run": np.arange(each.runs),
+                **{name: x for name, x in each.records.items() if x.ndim == 1},
+            }
+            for each in found
+        ]
+        names = [name for name in tables[0] if all(name in each for each in tables)]
+        return {name: np.concatenate([each[name] for each in tables]) for name in names}
 
     def search(self, detector: str, spoofer: str) -> TuningResult | None:
         """What was found for a spoofer against a detector."""

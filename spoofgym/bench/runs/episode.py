@@ -90,6 +90,26 @@ class Episode:
         """Stretches of alarms of the attacked receiver, also before the onset [s]."""
         return alarm_intervals(self.alarm[:, ATTACKED], self.time)
 
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Its epochs as columns with units, (L + K, ...); NaN before the onset where only what
+        follows is recorded."""
+
+        def fill(values: FloatArray) -> FloatArray:
+            missing = np.full((self.onset, *values.shape[1:]), np.nan)
+            return np.concatenate((missing, values))
+
+        found: dict[str, NDArray[Any]] = {"time_s": self.time}
+        for side, column in (("", ATTACKED), ("twin_", TWIN)):
+            found[f"{side}ratio"], found[f"{side}alarm"] = (
+                x[:, column] for x in (self.ratio, self.alarm)
+            )
+            found[f"{side}error_ned_m"] = fill(self.error_n[:, column])
+        return {
+            **found,
+            "induced_error_m": fill(self.induced_error_m),
+            "commanded_m": fill(self.displacement),
+        }
+
     def summary(self) -> dict[str, Any]:
         """What came of it, JSON-able."""
         setup = self.setup
