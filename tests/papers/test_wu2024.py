@@ -66,6 +66,7 @@ def test_averages_of_the_paper_are_those_of_its_rows_and_figures_are_drawn(tmp_p
     assert all(p.stat().st_size > 10_000 for p in paths)
 
 
+@pytest.mark.nightly
 def test_traversal_takes_as_many_fits_as_there_are_subsets_before():
     """Half of the subsets of the size that succeeds, all of the smaller ones, and the first fit."""
     expected = [7.5, 46.5, 189.5, 547.0, 1587.0, 2841.0]
