@@ -397,7 +397,8 @@ def njit(function: F) -> F:
     Parameters
     ----------
     function : callable
-        A function of numbers, arrays and named tuples of them.
+        A function of numbers, arrays and named tuples of them. Compiled, it would write into an
+        array that is read-only as into any other; it must not.
 
     Returns
     -------
