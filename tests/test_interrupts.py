@@ -133,7 +133,7 @@ def play_here(out):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def whole(tmp_path_factory, default_rate_of_module):
     """Results of a campaign that nothing interrupts, and how long it takes."""
     folder = tmp_path_factory.mktemp("whole")
     began = time.monotonic()
