@@ -27,11 +27,12 @@ COMPILES = ("golden/test_trajectories.py",)
 MEANWHILE = (
     "agents/",
     "conformance/test_compiled.py",
+    "conformance/test_detectors.py",
     "conformance/test_docstrings.py",
     "core/test_compile.py",
     "data/",
 )
-"""For the other processes in these two minutes: needs little of it, or nothing."""
+"""For the other processes in these minutes: needs nothing of it, and the kernels of detectors."""
 LONG = (
     "train/",
     "test_cli.py",
@@ -40,7 +41,7 @@ LONG = (
     "test_interrupts.py",
     "baselines/",
     "papers/",
-    "conformance/test_detectors.py",
+    "conformance/test_envs.py",
 )
 """Next, so that no process ends with a long one by itself."""
 # Before anything imports matplotlib: Gymnasium's checks open windows, and there may be no display.
@@ -77,7 +78,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
     Most tests play worlds that are too short and too many to be calibrated; those of the pages, and
     those that ask for `default_rate`, play as users do.  What tests calibrate all the same goes to
-    a folder that all their processes share, and that ends with them.
+    a folder that all their processes share, and that ends with them.  So does bytecode where no
+    process may write it beside the sources: every child would make it again.
     """
     from spoofgym.detectors import calibrated
     from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
@@ -85,6 +87,8 @@ def pytest_configure(config: pytest.Config) -> None:
     calibrated.DEFAULT_RATE = None
     if not hasattr(config, "workerinput"):
         os.environ[FOLDER_VARIABLE] = folder = tempfile.mkdtemp(prefix="calibrations-")
+        if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
+            os.environ["PYTHONPYCACHEPREFIX"] = f"{folder}/bytecode"
         config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
 
 

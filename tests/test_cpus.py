@@ -12,7 +12,6 @@ from spoofgym.envs import _kernels as step
 from spoofgym.receiver import _kernels as receiver
 from spoofgym.receiver import replay
 from spoofgym.simulation import Engine
-from spoofgym.simulation._kernels import run_epochs
 from spoofgym.simulation.recording import record_run
 
 from . import cpus, digests
@@ -34,7 +33,7 @@ def compiled(kernel, *signatures):
     return copy
 
 
-MORE = step.play_epoch, run_epochs, step.finish
+MORE = step.play_epoch, step.finish
 """Which take long, and have what they call from the same decorator."""
 
 
@@ -60,7 +59,7 @@ def _played():
 @pytest.mark.usefixtures("_played")
 @pytest.mark.parametrize(
     "kernel",
-    heavy([step.play_epoch, run_epochs, receiver.run_epoch, step.finish], *MORE),
+    heavy([step.play_epoch, receiver.run_epoch, step.finish], *MORE),
     ids=lambda kernel: kernel.__name__,
 )
 def test_no_operations_are_fused_and_no_sums_regrouped(kernel):

@@ -22,6 +22,7 @@ from spoofgym.export import onnx
 
 from .command_line import call, refused
 from .envs.support import SHORT
+from .nightly import heavy
 
 IDS = [
     *("TightlyCoupled-v0", "Offsets-v0", "Zhong2025-v0"),
@@ -54,9 +55,12 @@ def world(settings):
     return {**own, "settings": further}
 
 
-@pytest.fixture(scope="module", params=IDS)
+@pytest.fixture(scope="module", params=heavy(IDS, "BenchS1-v2", "BenchS3-v2"))
 def policy(request, tmp_path_factory):
-    """An id, an untrained policy of it as a file with its card, and what is to be added."""
+    """An id, an untrained policy of it as a file with its card, and what is to be added.
+
+    BenchS1-v2 is TightlyCoupled-v0 by another name, and BenchS3-v2 as BenchS2-v2, but longer.
+    """
     env = gym.make(f"spoofgym/{request.param}", detector="never")
     torch.manual_seed(0)
     net = torch.nn.Linear(env.observation_space.shape[0], env.action_space.shape[0])

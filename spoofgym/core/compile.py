@@ -40,6 +40,7 @@ from numba.core.compiler import CompileResult, Flags, compile_extra
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]
 from numba.core.registry import CPUDispatcher
+from numba.core.types import Array
 from numba.core.types.misc import unliteral
 
 
@@ -88,6 +89,16 @@ class _Compiler(_FunctionCompiler):  # type: ignore[misc]
         return result._replace(entry_point=library)
 
 
+def unify(kind: Any) -> Any:
+    """The type that a function is compiled for: a read-only array's is that of any other.
+
+    Their layouts are the same, and so is the code; twice it would take twice as long.  That no
+    kernel writes into one is tested where they are distinguished (tests/golden/test_changes.py).
+    """
+    read_only = isinstance(kind, Array) and not kind.mutable
+    return kind.copy(readonly=False) if read_only else kind
+
+
 class Function(CPUDispatcher):  # type: ignore[misc]
     """A compiled function: for Python, or as a part of other compiled functions, or both."""
 
@@ -133,10 +144,16 @@ class Function(CPUDispatcher):  # type: ignore[misc]
     def compile(self, sig: Any) -> Any:
         with global_compiler_lock:
             args, _ = sigutils.normalize_signature(sig)
-            found = self.overloads.get(tuple(args))
-            if found is not None and is_part(found) and not self._compiler.as_part:
-                del self.overloads[tuple(args)]
-            return super().compile(sig)
+            if self._compiler.as_part:
+                return super().compile(sig)
+            unified = tuple(map(unify, args))
+            found = self.overloads.get(unified)
+            if found is not None and is_part(found):
+                del self.overloads[unified]
+            code = super().compile(unified if unified != tuple(args) else sig)
+            if unified != tuple(args):
+                self._insert([kind._code for kind in args], code, False)
+            return code
 
     def add_overload(self, cres: CompileResult) -> None:
         if is_part(cres):
@@ -380,7 +397,8 @@ def njit(function: F) -> F:
     Parameters
     ----------
     function : callable
-        A function of numbers, arrays and named tuples of them.
+        A function of numbers, arrays and named tuples of them. Compiled, it would write into an
+        array that is read-only as into any other; it must not.
 
     Returns
     -------

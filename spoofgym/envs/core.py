@@ -23,7 +23,6 @@ from .context import bind_base
 from .observer import Observer
 from .scoring import (
     MARK_NAMES,
-    PLAY,
     VALUE_NAMES,
     DisplacementScore,
     FusedStep,
@@ -196,7 +195,7 @@ class SpoofCore:
             self.reset_names += self._log_names
         own = set(map(type, monitors))
         monitors += [monitor for monitor in setup.monitors if type(monitor) not in own]
-        self.setup = setup.copy_with(monitors=monitors, kernel=PLAY)
+        self.setup = setup.copy_with(monitors=monitors)
         self.engine = Engine(
             receivers,
             self.setup,

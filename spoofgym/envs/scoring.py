@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from ..core.simd import ArrayTable
 from ..detectors import Verdict
 from ..simulation.domain import FloatArray
-from ..simulation.setup import SequelKernel
 from ..simulation.simulator import Simulator
-from ..simulation.tight import TightlyCoupledSimulator
+from ..simulation.tight import SequelKernel, TightlyCoupledSimulator
 from . import _kernels
 
 Mask = NDArray[np.bool_]
@@ -343,7 +342,7 @@ class FusedStep:
         _kernels.finish(True, *self._fixed, *arrays, *written)
 
 
-PLAY = SequelKernel(
+TightlyCoupledSimulator.kernel = SequelKernel(
     _kernels.play_epoch,
     (
         np.zeros(0, dtype=np.int64),
@@ -352,7 +351,7 @@ PLAY = SequelKernel(
         np.zeros(0, dtype=np.float32),
     ),
 )
-"""Kernel of a tightly coupled simulator whose epochs are scored."""
+"""Kernel of a tightly coupled simulator whose epochs may be scored."""
 
 
 class ScoredStep:
@@ -372,7 +371,7 @@ class ScoredStep:
         return {**self.__dict__, "_table": None}
 
     def arrays(self, simulator: TightlyCoupledSimulator) -> tuple[NDArray[Any], ...]:
-        """First arguments of `PLAY`."""
+        """First arguments of the kernel."""
         known = simulator.memory.stamp, simulator.attack.memory.stamp
         if self._table is None or known != self._known:
             warmup_alarm, self._known = simulator.memory["warmup_alarm"], known

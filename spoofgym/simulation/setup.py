@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,14 +112,6 @@ class RateCommands:
         return self.names
 
 
-class SequelKernel(NamedTuple):
-    """Kernel that begins with a simulator's own, and what it is given where nothing follows. A
-    simulator runs it for everything, so that its own is compiled as a part of it alone."""
-
-    function: Callable[..., int]
-    nothing: tuple[NDArray[Any], ...]
-
-
 class Setup(ABC):
     """World, victim, commands, detector, phases and decisions, computed once and shared.
 
@@ -127,7 +119,6 @@ class Setup(ABC):
 
     - `kind` of the victim, such as ``"snapshot"``; `name` of the scenario, for results;
     - `attack`: what a spoofer commands; `detector` in the loop, copied for every simulator;
-    - `kernel`: what a simulator whose step is one kernel runs instead of its own, or None;
     - `monitors`: what looks at every epoch and changes nothing; copied for every simulator;
     - `interval_s` between epochs; `epoch_time` (K,) of every epoch that an episode can come to [s];
     - `true_position`, `C_en` (K, d) where the target is at every epoch [m], and (K, d, d) to those
@@ -202,7 +193,6 @@ class Setup(ABC):
         timeline = build_record("timeline", Timeline, timeline, self.usual_timeline)
         self.timeline, self.interval_s = timeline, interval_s
         self.monitors: tuple[Monitor, ...] = ()
-        self.kernel: SequelKernel | None = None
         age_s = self.domain.age_s
         oldest = timeline if age_s is None else timeline.aged(age_s[1])
         self.filter_only, self.live, self.steps, self.hold = oldest.epochs(interval_s)
@@ -398,12 +388,13 @@ class Setup(ABC):
         *,
         detector: Detector | None = None,
         monitors: Sequence[Monitor] | None = None,
-        kernel: SequelKernel | None = None,
         pace: tuple[float | None, str] | None = None,
     ) -> Setup:
-        """The same world and attack, with something else in it. Another detector, other monitors,
-        another kernel, or another pace of the spoofer: ``decision_interval_s`` and ``between``,
-        which change neither when an episode may start nor how long it takes."""
+        """The same world and attack, with another detector, other monitors, or another pace.
+
+        The spoofer's pace, ``decision_interval_s`` and ``between``, changes neither when an episode
+        may start nor how long it takes.
+        """
         other = copy.copy(self)
         if pace is not None:
             other._decide_every(*pace)
@@ -411,8 +402,6 @@ class Setup(ABC):
             other.detector = detector
         if monitors is not None:
             other.monitors = tuple(monitors)
-        if kernel is not None:
-            other.kernel = kernel
         return other
 
 

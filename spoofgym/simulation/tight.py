@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, ClassVar, Self, cast
+from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from ..truth.signal_errors import MAPPINGS, compute_mappings
 from . import _kernels
 from ._kernels import JUDGE, REMEMBER, displace, local_motion
 from .domain import Choice, Combinations, Domain, FloatArray, build_worlds
-from .setup import Run, SequelKernel, Setup, Timeline
+from .setup import Run, Setup, Timeline
 from .simulator import Rngs, Rows, Sequel, Simulator, SkyData
 
 # Victims by name: the noise that they assume as the papers print it, or as the world has it.
@@ -48,7 +48,6 @@ FIRST_FIX = 4  # satellites that a first fix takes
 AXES = ("north", "east", "down")
 AFTER_ONSET = ("imu", "clock", "gnss", "spoofer", "correlated")  # noise that goes on
 ADVANCE = MEASURE + PREDICT
-OWN_KERNEL = SequelKernel(_kernels.run_epochs, ())
 ATTACK_FORMS: dict[type, int] = {
     FalsePosition: _kernels.FALSE_POSITION,
     PerChannel: _kernels.PER_CHANNEL,
@@ -239,12 +238,24 @@ def _split_scale(detector: Detector) -> tuple[Detector, float]:
     return detector, 1.0
 
 
+class SequelKernel(NamedTuple):
+    """Kernel that begins with a simulator's own, and what it is given where nothing follows.
+
+    Every simulator runs it for everything, so that its own is compiled as a part of it alone.
+    """
+
+    function: Callable[..., int]
+    nothing: tuple[NDArray[Any], ...]
+
+
 class TightlyCoupledSimulator(Simulator):
     """B tightly coupled receivers; kernels work on slices of them, possibly in threads. `buffers`
     has the estimates and measurements, `sensors` their errors; `attack` is bound; `augmented` is
-    the filter with more states, or None."""
+    the filter with more states, or None; `kernel` is that of the environments where they are
+    imported."""
 
     setup: TightlyCoupledSetup
+    kernel: ClassVar[SequelKernel] = SequelKernel(_kernels.run_epochs, ())
 
     def _allocate(self) -> None:
         world, receivers = self.setup.world, self.receivers
@@ -296,7 +307,6 @@ class TightlyCoupledSimulator(Simulator):
         self._no_memories = ArrayTable(_kernels.NOTHING_REMEMBERED)
         self._memories, self._known = self._no_memories, (_kernels.NO_FORM, 0, None, None)
         self._outcomes: set[int] = set()
-        self._kernel = self.setup.kernel or OWN_KERNEL
 
     def _context(self) -> DetectorContext:
         setup = self.setup
@@ -403,7 +413,7 @@ class TightlyCoupledSimulator(Simulator):
         """Run a slice without an attack and a detector of the kernel's own."""
         tables = self._table.entries, self._no_memories.entries
         rest = _kernels.NO_FORM, True, _kernels.NO_FORM, what, count
-        self._call((*self._kernel.nothing, *tables, self._no_action, self.weights), rest, lo, hi)
+        self._call((*self.kernel.nothing, *tables, self._no_action, self.weights), rest, lo, hi)
 
     def _call(self, arrays: tuple[Any, ...], rest: tuple[int, ...], lo: int, hi: int) -> None:
         """Call the kernel for a slice, with scratch memory that no other thread has."""
@@ -411,7 +421,7 @@ class TightlyCoupledSimulator(Simulator):
             work = self._spare.pop()
         except IndexError:
             work = self.buffers.fields.scratch(self._work_rows)
-        found = self._kernel.function(*arrays, work, *rest, lo, hi)
+        found = self.kernel.function(*arrays, work, *rest, lo, hi)
         self._spare.append(work)
         if found:
             self._outcomes.add(found)
@@ -509,7 +519,7 @@ class TightlyCoupledSimulator(Simulator):
         known = form, detector, attacks, judges
         if known != self._known:
             self._memories, self._known = self._memory_table(form, detector), known
-        first = self._kernel.nothing
+        first = self.kernel.nothing
         if sequel is not None:
             what, first = what + _kernels.SCORE, sequel.arrays(self)
         tables = self._table.entries, self._memories.entries
@@ -572,7 +582,7 @@ class TightlyCoupledSimulator(Simulator):
             return super().step(command, attacked=attacked, sequel=sequel)
         form = self._compiled_attack() if attacked else _kernels.NO_FORM
         within = sequel
-        if form == _kernels.NO_FORM or self.setup.kernel is None:
+        if form == _kernels.NO_FORM:
             within = None
         verdict = self._run_compiled(detector, command, attacked, form, sequel=within)
         if within is None and sequel is not None:

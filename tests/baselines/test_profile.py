@@ -80,6 +80,7 @@ def called(*words):
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
+@pytest.mark.nightly
 def test_the_command_of_a_card_makes_it_again(tmp_path, monkeypatch):
     out = tmp_path / "far" / "quick.json"
     result = called(*TINY, "--out", out)

@@ -1,7 +1,7 @@
 """What a campaign runs, where, and where its chance comes from; the standard suite."""
 
 import json
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 
@@ -116,8 +116,8 @@ def test_a_campaign_has_its_world_and_its_runs_and_plays_the_clean_twin_first():
 @pytest.mark.parametrize(
     ("make", "given", "message"),
     [
-        (Suite, {"detectors": ()}, "at least one detector"),
-        (Suite, {"detectors": ("ewma", "ewma")}, "listed twice: ewma"),
+        (partial(Suite, env=PLAIN_ID), {"detectors": ()}, "at least one detector"),
+        (partial(Suite, env=PLAIN_ID), {"detectors": ("ewma", "ewma")}, "listed twice: ewma"),
         (Tuning, {"runs": 58}, r"`runs` must be at least 59 for a budget of 0.05: .* 58"),
         (World.of, {"env": "T3"}, "unknown environment 'T3'"),
         (partial(World.of, "T3"), {"env": "x", "scenario": "y"}, "`env`, `scenario` can't be"),
@@ -129,26 +129,32 @@ def test_what_is_no_suite_or_world_is_refused(make, given, message):
         make(**given)
 
 
+SMALL = "--set", "domain={}"
+"""One world in place of many, for what no world has a part in."""
+
+
 class Mine(Shewhart):
     """Somebody's own detector."""
 
 
-def played(monkeypatch, *options):
-    """The suite that a command line would play."""
+@cache
+def played(*options):
+    """The suite that a command line would play; the world of the default task takes seconds."""
     found = []
 
     def stop(suite, *_):
         found.append(suite)
         raise SystemExit
 
-    monkeypatch.setattr(import_module("spoofgym.cli.bench"), "calibrate_suite", stop)
-    result = CliRunner().invoke(app, ["bench", *options])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(import_module("spoofgym.cli.bench"), "calibrate_suite", stop)
+        result = CliRunner().invoke(app, ["bench", *options])
     assert found, result.output
     return found[0]
 
 
-def test_bench_plays_in_the_world_of_the_task_at_one_rate_and_the_controls_with_it(monkeypatch):
-    suite, task = played(monkeypatch), get_task(DEFAULT_TASK)
+def test_bench_plays_in_the_world_of_the_task_at_one_rate_and_the_controls_with_it():
+    suite, task = played(), get_task(DEFAULT_TASK)
     assert {name: suite.world.settings[name] for name in task.world_kwargs} == task.world_kwargs
     assert suite.alert_limit_m == (task.alert_limit_m or Suite.alert_limit_m)
     specs = [entry.spec for entry in suite.detector_players]
@@ -169,24 +175,23 @@ def test_bench_plays_in_the_world_of_the_task_at_one_rate_and_the_controls_with_
     assert [shorten_label(entry.label) for entry in suite.detector_players] == names
     # named ones play with the controls
     named = ["ewma", "tests.bench.test_suite:Mine"]
-    suite = played(monkeypatch, *(word for name in named for word in ("--detector", name)))
+    suite = played(*(word for name in named for word in ("--detector", name)))
     specs = [entry.spec for entry in suite.detector_players]
     assert [spec["name"] for spec in specs] == ["never", "lottery", *named]
     assert {spec.get("false_alarms_per_hour") for spec in specs[1:]} == {standard.RATE}
 
 
-def test_a_budget_scales_everything_and_sizes_come_before_it(monkeypatch):
+def test_a_budget_scales_everything_and_sizes_come_before_it():
     def sizes(*options):
-        suite = played(monkeypatch, *options)
+        suite = played(*options)
         tuning, selection = suite.tuning, suite.selection
         chosen = selection and selection.runs
         return suite.runs, tuning.runs, chosen, tuning.quick, suite.floor_worlds
 
     assert sizes() == standard.BUDGETS["standard"]
-    assert sizes("--budget", "quick") == standard.BUDGETS["quick"]
+    assert sizes(*SMALL, "--budget", "quick") == standard.BUDGETS["quick"]
     assert all(np.diff([each[:3] for each in standard.BUDGETS.values()], axis=0).ravel() >= 0)
     given = ["--runs", "40", "--selection-runs", "0", "--training-runs", "60"]
-    assert sizes("--budget", "full", *given) == (40, 60, None, False, None)
-    other = played(monkeypatch, "--budget", "quick", "--set", "domain={}").tuning.as_dict()
-    assert other["quick"]
-    assert "quick" not in played(monkeypatch).tuning.as_dict()  # as it was before budgets
+    assert sizes(*SMALL, "--budget", "full", *given) == (40, 60, None, False, None)
+    assert played(*SMALL, "--budget", "quick").tuning.as_dict()["quick"]
+    assert "quick" not in played().tuning.as_dict()  # as it was before budgets

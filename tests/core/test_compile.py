@@ -8,6 +8,7 @@ import types
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 from numba.core import event
 
@@ -387,3 +388,14 @@ def test_a_process_that_compiles_has_the_bits_of_one_that_loads(tmp_path):
     cases = ("compiling", "loading", "callees-first")
     first, *others = (processes(tmp_path, (UPDATE, case))[0][0] for case in cases)
     assert others == [first, first]
+
+
+def test_a_read_only_array_has_the_code_of_any_other():
+    @compiling.njit
+    def total(values):
+        return values.sum()
+
+    values, sealed = np.arange(3.0), np.arange(4.0)
+    sealed.flags.writeable = False
+    assert (total(sealed), total(values), total(sealed)) == (6.0, 3.0, 6.0)
+    assert len(total.signatures) == 1

@@ -10,6 +10,11 @@ from . import trajectories
 
 NOISE = "3df5a44369fc0d5bf806c87edbb93246ca6df4d150d2bc92c5d4d999618b9f86"
 """Of the first version; another digest means other noise under every id."""
+LONG = (
+    *("BenchD1-v1", "BenchD2-v1", "BenchD3-v1", "BenchT4-v1"),
+    *("BenchS2-v2", "BenchS3-v2", "BenchD2-v2", "BenchD3-v2"),
+)
+"""Longer flights of what others play, up to half an hour of attack after an hour's past."""
 ROUNDING_M = 1e-6
 """Errors of a few metres are differences of positions of 6e6 m, of which 1e-9 were 6 mm."""
 
@@ -27,9 +32,7 @@ def test_the_default_environment_is_a_task():
     assert one.kwargs == other.kwargs
 
 
-@pytest.mark.parametrize(
-    "name", heavy(trajectories.cases(), "BenchD1-v1", "BenchD2-v1", "BenchD3-v1", "BenchT4-v1")
-)
+@pytest.mark.parametrize("name", heavy(trajectories.cases(), *LONG))
 def test_the_trajectory_is_the_stored_one(name):
     mine, stored = trajectories.cases()[name](), trajectories.load(name)
     assert set(mine) >= set(stored)  # more information may be told, none may go

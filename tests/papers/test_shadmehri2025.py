@@ -11,6 +11,7 @@ from baselines.papers import shadmehri2025
 from baselines.papers.frame import Settings
 from baselines.papers.shadmehri2025.runs import FALSE_ALARM, THRESHOLD
 
+pytestmark = pytest.mark.nightly
 SETTINGS = Settings(quick=True, seed=0)
 RARE = {"clean, w = 50": {"runs": 300}}
 """A quick run has too few of these alarms to count them."""

@@ -23,6 +23,7 @@ from baselines.papers.song2021.runs import FILTERS, generators, record
 from baselines.robot_data_sets import DATA_SETS
 from spoofgym.simulation import Engine
 
+pytestmark = pytest.mark.nightly
 SEED, RUNS = 1, 100
 ATTACKED = ("jump", "slow", "both")
 IRONS = (2.0, 4.0, 6.0)

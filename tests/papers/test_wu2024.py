@@ -38,6 +38,7 @@ def cases(count, draws, number=0, seed=0):
     return lines, spoofed, displacements(np.random.default_rng(seed), lines, spoofed)
 
 
+@pytest.mark.nightly
 def test_every_row_is_in_its_band_but_those_not_met():
     outside = [r for r in rows() if False in (r.printed_inside, r.agrees) and r.table != "Speed"]
     assert {(r.table, r.quantity) for r in outside} <= NOT_MET
@@ -50,6 +51,7 @@ def test_every_row_is_in_its_band_but_those_not_met():
     assert ratio == pytest.approx(1.7, abs=0.2)
 
 
+@pytest.mark.nightly
 def test_averages_of_the_paper_are_those_of_its_rows_and_figures_are_drawn(tmp_path):
     """The weight of a row is its number of subsets; fits are pooled over what did not fail."""
     for method in ("srv", "traversal"):
@@ -64,6 +66,7 @@ def test_averages_of_the_paper_are_those_of_its_rows_and_figures_are_drawn(tmp_p
     assert all(p.stat().st_size > 10_000 for p in paths)
 
 
+@pytest.mark.nightly
 def test_traversal_takes_as_many_fits_as_there_are_subsets_before():
     """Half of the subsets of the size that succeeds, all of the smaller ones, and the first fit."""
     expected = [7.5, 46.5, 189.5, 547.0, 1587.0, 2841.0]

@@ -25,6 +25,7 @@ from baselines.papers.zhong2025.runs import (
 )
 from baselines.papers.zhong2025.work import table_part
 
+pytestmark = pytest.mark.nightly
 SETTINGS = Settings(quick=True, seed=2025)
 RUNS, SPOOFED = 20, 300  # epochs, 150 s
 SIZES = dict(zip(TABLED, (15.0, 25.0, 35.0, 0.2, 0.5, 0.7), strict=True))  # m, m/s

@@ -12,11 +12,12 @@ import numpy as np
 
 from spoofgym.core.simd import ArrayTable
 from spoofgym.earth.wgs84 import geodetic_to_ecef
+from spoofgym.envs.scoring import TightlyCoupledSimulator
 from spoofgym.receiver import _kernels
 from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
 from spoofgym.receiver.epoch import SEEN, ReceiverBuffers, kernel_table
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES
-from spoofgym.simulation._kernels import NO_FORM, NOTHING_REMEMBERED, run_epochs
+from spoofgym.simulation._kernels import NO_FORM, NOTHING_REMEMBERED
 from spoofgym.truth.clock import TCXO, ReceiverClock
 from spoofgym.truth.gnss_errors import GnssErrors
 from spoofgym.truth.noise import pad_count
@@ -149,7 +150,9 @@ class Batch:
         weights = self.weights if weights is None else weights
         scratch = memories.entries, np.zeros((1, 1)), weights, work, NO_FORM, True, NO_FORM
         hi = buffers.receivers if hi is None else hi
-        assert not run_epochs(table.entries, *scratch, what, count, lo, hi)
+        kernel = TightlyCoupledSimulator.kernel
+        scratch = *kernel.nothing, table.entries, *scratch
+        assert not kernel.function(*scratch, what, count, lo, hi)
 
     def predict(self):
         self.run(PREDICT + SHOW)

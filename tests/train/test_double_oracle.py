@@ -80,6 +80,7 @@ def test_a_game_grows_and_has_a_page(folder, whole):
     assert json.loads((folder / RESULTS).read_text()) == json.loads(json.dumps(whole))
 
 
+@pytest.mark.nightly
 def test_a_killed_game_goes_on_to_the_same_result(tmp_path, whole, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(double_oracle, "exploitability", lambda *args: sys.exit(1))
@@ -126,7 +127,7 @@ def test_a_policy_that_diverges_takes_no_part_and_stops_no_game(tmp_path, monkey
     assert not list(tmp_path.glob("ppo-*"))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_learns_enters_on_both_sides(tmp_path, monkeypatch):
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "calibrations"))
     view = duel_v0.DetectorView(scenario="zhong2025", timeline=SHORT)
