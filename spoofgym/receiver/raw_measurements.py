@@ -97,7 +97,7 @@ def solve_raw(
     `grade`: of the inertial sensors, see `TightlyCoupled`; `noise_factors` on the standard
     deviations of pseudoranges and range rates, which are those of the receiver itself, or those of
     `NoiseModel` where it says nothing; `keep_odd`: satellites that disagree by over `ODD_M` stay in
-    the log with a noise of `ODD_SD_M` and as many m/s, so that the filter does not use them. Times
+    the log with a noise of `ODD_SD_M` and as many m/s, for tests of ranges alone. Times
     of the log are those since the first epoch [s]; its `about` has ``lines``: what was found,
     corrected and left out.
     """

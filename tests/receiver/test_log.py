@@ -212,7 +212,9 @@ def test_a_detector_says_what_the_log_lacks(clean):
     ):
         judge_log(alone, [{"name": "snapshot-chi2"}])
     assert judge_log(alone, [{"name": "snapshot-chi2", "signals": "pseudorange"}])[0].factor == 1.0
-    with pytest.raises(ValueError, match=r"raim needs pseudorange, .* which the log does not have"):
+    with pytest.raises(
+        ValueError, match=r"raim needs .*pseudorange, .* which the log does not have"
+    ):
         judge_log(clean, ["raim"])
     augmented = make_detector({"name": "solution-separation", "filter": "augmented"})
     with pytest.raises(ValueError, match="needs a model of all errors for a filter of its own"):
