@@ -14,7 +14,7 @@ WORKERS ?= auto
 SOAK_MINUTES ?= 10
 
 # What each target needs beside the library itself.
-extras_bench := flights,limits,report
+extras_bench := limits,report
 extras_check := flights,limits,report,dev
 extras_docs  := docs
 extras_test  := flights,limits,logs,report,video,dev,train
@@ -84,9 +84,12 @@ perf: $(VENV)/.installed-bench ## measure the speed of this machine, part by par
 benchmarks: $(VENV)/.installed-test ## time kernels, detectors, environments and starts, by pytest-benchmark
 	$(python) -m pytest benchmarks $(ARGS)
 
+# What has been written as bytecode beforehand takes half of an installation.
+pip_bench := --no-compile
+
 # One stamp for each set of extras, renewed when the dependencies change.
 $(VENV)/.installed-%: pyproject.toml constraints.txt | $(python)
-	$(python) -m pip install --quiet --prefer-binary -c constraints.txt -e '.[$(extras_$*)]'
+	$(python) -m pip install --quiet --prefer-binary $(pip_$*) -c constraints.txt -e '.[$(extras_$*)]'
 	@touch $@
 
 # A version that constraints-ray.txt names is taken from there, all others from constraints.txt.
