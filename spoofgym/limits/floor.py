@@ -183,10 +183,11 @@ def _record_pairs(
     for first in range(0, count, 2):
         numbers = range(first, min(first + 2, count))
         given = {"world": np.array(numbers)} if every_sky else None
-        draw = lambda: make_generators(  # noqa: E731
-            seeds_of_runs(entropy, "selection", setup.name, numbers)  # noqa: B023
+        victim, again = (
+            make_generators(seeds_of_runs(entropy, "selection", setup.name, numbers))
+            for _ in range(2)
         )
-        yield from zip(record(setup, draw(), given), analyst.record(draw(), given), strict=True)
+        yield from zip(record(setup, victim, given), analyst.record(again, given), strict=True)
 
 
 def _grade(setup: TightlyCoupledSetup) -> str:

@@ -351,7 +351,8 @@ BUDGETS = {
 def get_budget(name: str, **sizes: int | None) -> Budget:
     """Budget by its name, with sizes that are not None in place of its own."""
     check_choice("budget", name, BUDGETS)
-    return BUDGETS[name]._replace(**{key: x for key, x in sizes.items() if x is not None})
+    given: dict[str, Any] = {key: x for key, x in sizes.items() if x is not None}
+    return BUDGETS[name]._replace(**given)
 
 
 def list_world_detectors(setup: Setup, rescaled: bool = False) -> list[dict[str, Any]]:

@@ -392,7 +392,7 @@ def play_side_by_side(
             open_rows = np.flatnonzero(open_)
             if len(open_rows) == 1:  # as in `Simulator.ageing`
                 open_rows = np.sort(np.append(open_rows, np.flatnonzero(~open_)[:1]))
-            if len(open_rows) <= (1.0 - DROP_PART) * len(open_):
+            if len(open_rows) <= (1.0 - DROP_PART) * len(rows):
                 attacker.go_on_with(start.extract(attacker.engine, open_rows), open_rows)
                 rows = rows[open_rows]
     return [
