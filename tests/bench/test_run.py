@@ -16,6 +16,7 @@ from spoofgym.bench.runs.play import (
     induced_error,
     make_bound_spoofer,
     play,
+    play_side_by_side,
 )
 from spoofgym.bench.runs.record import compute_displacement, record_runs
 from spoofgym.detectors import Ewma
@@ -91,6 +92,20 @@ def test_dropping_settled_runs_changes_no_score_and_a_cell_scores_as_a_search_do
     assert 0.0 < cell.series["alarmed"][0] < cell.series["alarmed"][-1] < 1.0
     scored = compute_displacement(start.setup, fast, clean)
     np.testing.assert_allclose(scored, cell.records["undetected_displacement_m"], atol=1e-6)
+
+
+def test_the_last_run_that_is_left_has_company_which_changes_no_bit(start, fast):
+    still = {**FAST, "rate_mps": 0.0}
+    expected, half = play(start, still), len(fast.alarm) // 2
+    loud = np.flatnonzero((fast.first_alarm > 0) & (fast.first_alarm < half))
+    alone = next(k for k in np.flatnonzero(expected.first_alarm == 0) if k > loud[0])
+    rows = np.sort(np.append(loud[loud != alone], alone))
+    which = (rows == alone).astype(np.intp)
+    (left,) = play_side_by_side(start.take(rows), [FAST, still], which, drop_alarmed=True)
+    there = np.isfinite(left.position[-1]).all(axis=1)
+    assert there.sum() == 2
+    assert there[which == 1].all()
+    np.testing.assert_array_equal(left.position[:, which == 1], expected.position[:, [alone]])
 
 
 @pytest.mark.parametrize("interval_s", [None, 2.0])
