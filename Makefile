@@ -21,7 +21,7 @@ extras_test  := flights,limits,logs,report,video,dev,train
 extras_train := report,train
 extras_learn := flights,limits,report,train
 
-# What is tested with RLlib and the oldest Gymnasium.
+# What is tested with RLlib, Minari and the oldest Gymnasium.
 tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tests/docs/test_rl_libraries.py
 
 .DEFAULT_GOAL := help
@@ -56,7 +56,7 @@ soak: $(VENV)/.installed-test ## wear engine, environments, duel and results dow
 release: ## build sdist and wheel, try both in clean environments, and print what is left to do by hand
 	$(PYTHON) -m tools.release $(ARGS)
 
-test-ray: $(VENV_RAY)/.installed ## test RLlib and the oldest Gymnasium, in an environment of its own
+test-ray: $(VENV_RAY)/.installed ## test RLlib, Minari and the oldest Gymnasium, in an environment of its own
 	$(VENV_RAY)/bin/python -m pytest $(tests_ray) $(ARGS)
 	$(VENV_RAY)/bin/python -m pytest tests/bench/experiments/test_runner.py --nightly -k ray
 
@@ -96,7 +96,7 @@ $(VENV)/.installed-%: pyproject.toml constraints.txt | $(python)
 $(VENV_RAY)/.installed: pyproject.toml constraints.txt constraints-ray.txt | $(VENV_RAY)/bin/python
 	awk -F== '!seen[$$1]++' constraints-ray.txt constraints.txt > $(VENV_RAY)/constraints.txt
 	$(VENV_RAY)/bin/python -m pip install --quiet --prefer-binary -c $(VENV_RAY)/constraints.txt \
-	  -e '.[$(extras_test),ray]'
+	  -e '.[$(extras_test),ray]' 'minari[arrow,create]'
 	@touch $@
 
 $(VENV)/bin/python $(VENV_RAY)/bin/python:

@@ -22,6 +22,7 @@ SHOWN = {
 NEEDS = {
     "numba_cuda": "a machine with a GPU runs them",
     "ray": "`make test-ray` runs them, in an environment of its own",
+    "minari": "as that",
 }
 """What blocks of Python need that the environment of the tests can't have, and who runs them."""
 CODE_FIRST = {"docs/catalogue.md": "its commands play the file that its code writes"}

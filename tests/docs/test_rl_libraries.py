@@ -26,6 +26,10 @@ SMALLER = [
         r"STEPS, UPDATES, EPOCHS, CLIP, LAMBDA = 16, 30, 2,",
     ),
     (r"range\((50|20)\)(?=:\n    (result|answer))", "range(2)"),
+    (  # which is to alarm in some of the short episodes
+        r'"snapshot-chi2", (?=knowledge="blind\+reported")',
+        '{"name": "snapshot-chi2", "false_alarm": 0.99}, ',
+    ),
     (r"num_cpus=2", "num_cpus=2, object_store_memory=200_000_000"),
     (r"learner=4_000, minibatch_size=500", "learner=120, minibatch_size=60"),
     (r'(?<=\{)"knowledge": ', f'"{SHORT.replace("=", chr(34) + ": ")}, "knowledge": '),
@@ -41,13 +45,19 @@ def play_page(name, patch):
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(tmp_path_factory.mktemp("page"))
+        patch.chdir(folder := tmp_path_factory.mktemp("page"))
+        patch.setenv("MINARI_DATASETS_PATH", str(folder))
         with warnings.catch_warnings():
+            # of Minari, which wants an author's name, and leaves a folder to the end
+            warnings.filterwarnings("ignore", r"`\w+` is set to None\.", UserWarning)
+            warnings.filterwarnings("ignore", "Implicitly cleaning up", ResourceWarning)
             if find_spec("ray"):
                 # of RLlib itself, whose second algorithm in a process registers once more
                 warnings.simplefilter("ignore", DeprecationWarning)
                 warnings.filterwarnings("ignore", ".*rllib-multi-agent-env-v0 already in registry")
-            yield play_page("rl_libraries.md", patch)
+            played = play_page("rl_libraries.md", patch)
+            vars(played).pop("collector", None)  # whose warning is to come while it is ignored
+            yield played
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +79,28 @@ def test_rllib_goes_on_against_the_frozen_side_that_was_found(page):
         for side, weights in found.items()
     }
     assert sides == {"spoofer": False, "detector": True}
+
+
+def test_a_data_set_of_minari_plays_again_to_the_bit_in_the_recovered_world(page):
+    pytest.importorskip("minari", reason="minari is not installed: make test-ray")
+    again, ends = page.data.recover_environment(), set()
+    assert again.spec.kwargs.keys() == {"timeline", "detector", "knowledge"}
+    assert (page.data.total_episodes, page.data.action_space) == (20, again.action_space)
+    assert page.data.observation_space == again.observation_space
+    metadata = page.data.storage.get_episode_metadata(page.data.episode_indices)
+    for episode, about in zip(page.data, metadata, strict=True):
+        seen, outcomes, cost = [again.reset(seed=about["seed"])[0]], [], [0.0]
+        for action in episode.actions:
+            observation, *outcome, info = again.step(action)
+            seen.append(observation)
+            outcomes.append(tuple(outcome))
+            cost.append(info["cost"])
+        np.testing.assert_array_equal(episode.observations, seen, strict=True)
+        stored = (episode.rewards, episode.terminations, episode.truncations)
+        assert list(zip(*stored, strict=True)) == outcomes
+        assert episode.infos["cost"].tolist() == cost
+        ends.add(sum(cost))
+    assert ends == {0.0, 1.0}
 
 
 def test_the_price_of_the_block_follows_the_budget(budget):
