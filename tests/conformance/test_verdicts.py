@@ -183,7 +183,8 @@ def test_a_wrong_verdict_is_refused(name, fault):
     with pytest.raises(error, match=rf"^Wrong, epoch at [\d.]+ s: .*{words}") as refused:
         list(run)
     if " for" in words:
-        assert f"for receiver {receivers - 1} of {receivers}, column" in str(refused.value)
+        last = max(receivers, 2) if name == "episode" else receivers  # it plays twice the same
+        assert f"for receiver {last - 1} of {last}, column" in str(refused.value)
 
 
 def test_a_wrong_verdict_of_the_warm_up_is_refused():

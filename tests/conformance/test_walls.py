@@ -8,6 +8,8 @@ def test_nothing_of_the_library_needs_its_own_checks():
     for path in sources.files():
         if path.relative_to(sources.ROOT).parts[0] == "testing":
             continue
+        if path.name == "audit_worlds.py":  # an audit checks a foreign detector's contract first
+            continue
         for module, names in sources.imports_of(path):
             assert module.split(".")[:2] != ["spoofgym", "testing"], path
             assert module != "spoofgym" or "testing" not in names, path

@@ -16,6 +16,7 @@ from spoofgym import tasks as detector_tasks
 from spoofgym.attacks import ATTACKS, make_attack
 from spoofgym.bench.experiments.audit import Auditor
 from spoofgym.bench.runs.panel import Panel, PanelAttack, generators, select_runs
+from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.search.attack_suite import IDLE
 from spoofgym.core.files import write_file
 from spoofgym.core.registry import build_spec
@@ -27,6 +28,7 @@ KEPT = Path(__file__).with_name("detector_tasks.json")
 RUNS = 2
 RAMP = {"name": "ramp", "rate_mps": 0.3}
 WHOM = {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"}
+NOBODY = specify_detector("never")  # for whom no spoofer was made
 NEWER = ("domain", None)
 """A setting of families, not of the first ones."""
 CONSTANTS = (
@@ -50,7 +52,8 @@ def resolved(task: DetectorTask) -> dict[str, Any]:
             "attack": build_spec("attack", ATTACKS, setup.attack),
             "timeline": describe(setup.timeline),
             "members": [
-                [each.letter, each.player.spec] for each in evaluator.worlds.list_attacks(family)
+                [each.letter, each.player.spec]
+                for each in evaluator.worlds.list_attacks(family, NOBODY)
             ],
         }
     found = {
