@@ -84,7 +84,7 @@ perf: $(VENV)/.installed-bench ## measure the speed of this machine, part by par
 benchmarks: $(VENV)/.installed-test ## time kernels, detectors, environments and starts, by pytest-benchmark
 	$(python) -m pytest benchmarks $(ARGS)
 
-# What has been written as bytecode beforehand takes half of an installation.
+# To write bytecode for everything takes half of an installation; a first start writes its own.
 pip_bench := --no-compile
 
 # One stamp for each set of extras, renewed when the dependencies change.

@@ -26,7 +26,9 @@ COLUMN_FILES = (".mat", ".parquet")
 def check_pyarrow() -> None:
     """An ImportError that names the extra, where Parquet can't be written."""
     if importlib.util.find_spec("pyarrow") is None:
-        raise ImportError("Parquet needs pyarrow: pip install spoofgym[flights]")
+        raise ImportError(
+            "Parquet needs pyarrow of the extra `flights`: pip install 'spoofgym[flights]'"
+        )
 
 
 def write_columns(path: Path, columns: Mapping[str, Any], head: Mapping[str, str] = {}) -> None:

@@ -178,8 +178,8 @@ class Analyst:
 def _record_pairs(
     setup: TightlyCoupledSetup, analyst: Analyst, entropy: int, count: int, every_sky: bool
 ) -> Iterator[tuple[LinearRun, AnalystRun]]:
-    """Victim and analyst of runs, two at a time: more take more memory, and the kernels of a single
-    receiver would be compiled for this alone."""
+    """Victim and analyst of runs, two at a time: more take more memory, and of a single one see
+    `keep_company`."""
     for first in range(0, count, 2):
         numbers = range(first, min(first + 2, count))
         given = {"world": np.array(numbers)} if every_sky else None

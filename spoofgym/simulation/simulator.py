@@ -471,9 +471,7 @@ class Simulator(ABC):
 
     def ageing(self, past: int = 0) -> Iterator[tuple[Self, Rows, int]]:
         """Receivers that are to go on together, their rows here, and by how many epochs, until each
-        is at its onset, `past` epochs after the start. Those that are there stay as they are. The
-        last one has company to the end, since the kernels of a single receiver are others, which
-        would be compiled for it alone."""
+        is at its onset, `past` epochs after the start. Those that are there stay as they are."""
         left, rows = self.ages - past, np.arange(self.receivers)
         if (left == left[0]).all():
             yield self, rows, int(left[0])
@@ -483,9 +481,7 @@ class Simulator(ABC):
             yield part, rows, end - gone
             gone, there = end, np.flatnonzero(left[rows] == end)
             self.copy_rows(rows[there], part, there)
-            young = np.flatnonzero(left[rows] > end)
-            if len(young) == 1:
-                young = np.sort(np.append(young, there[:1]))
+            young = keep_company(np.flatnonzero(left[rows] > end), there)
             if 0 < len(young) <= (1.0 - DROPPED) * len(rows):
                 part, rows = part._copy(young), rows[young]
 
@@ -616,9 +612,15 @@ def run_serially(work: Callable[[int, int], None], receivers: int) -> None:
     work(0, receivers)
 
 
+def keep_company(rows: Rows, others: Rows) -> Rows:
+    """Receivers that go on, in order; with a single one also the first of the others. The kernels
+    of a single receiver are others, which would be compiled for it alone."""
+    return rows if len(rows) != 1 else np.sort(np.append(rows, others[:1]))
+
+
 def weighs(setup: Setup, detector: Detector) -> bool:
     """Whether a detector de-weights measurements in this world: its first verdict says so. Two
-    receivers step, since the kernels of a single one would be compiled for this alone."""
+    receivers step: see `keep_company`."""
     chosen = setup.copy_with(detector=detector, monitors=())
     simulator: Simulator = chosen.simulator(2, run_serially)
     simulator.switch_on(make_generators(seeds_of_runs(0, "calibration", setup.name, [0, 1])))

@@ -144,7 +144,7 @@ def play_episode(
 ) -> Episode:
     run = whole_number("`run`", run)
     setup = world.build_setup(detector, [spoofer])
-    engine = Engine(2, setup, threads=1, twin=True)  # alike: see `Simulator.ageing`
+    engine = Engine(2, setup, threads=1, twin=True)  # alike: see `keep_company`
     simulator, twin = engine.simulator, engine.twin
     assert twin is not None  # `twin=True` above
     everyone, epochs = np.arange(2), setup.steps + setup.hold

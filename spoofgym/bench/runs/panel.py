@@ -246,7 +246,7 @@ class Panel:
         specs; runs are left once they have alarmed."""
         alone = len(self.judges) > 1 and sees_statistics(make_spoofer(specs[0]).knowledge)
         count = len(rows)
-        if count == 1:  # as in `Simulator.ageing`
+        if count == 1:  # see `keep_company`
             rows, which = np.repeat(rows, 2), np.repeat(which, 2)
         start = self._start((number,), alone, PanelAttack(specs[0], len(rows)), rows)
         return play_side_by_side(start, specs, which, drop_alarmed=True)[0].first(count)

@@ -21,7 +21,7 @@ from ...envs.terms.action import CommandMap, Decisions
 from ...simulation.engine import Engine
 from ...simulation.monitors import Monitor, Monitored, PassiveDetectors
 from ...simulation.setup import Setup
-from ...simulation.simulator import FixedChoices, Simulator
+from ...simulation.simulator import FixedChoices, Simulator, keep_company
 from ...spoofers import Spoofer, make_spoofer
 
 FloatArray = NDArray[np.float64]
@@ -389,9 +389,7 @@ def play_side_by_side(
                 if tick is not None:
                     tick((epochs - k - 1) / epochs)
                 break
-            open_rows = np.flatnonzero(open_)
-            if len(open_rows) == 1:  # as in `Simulator.ageing`
-                open_rows = np.sort(np.append(open_rows, np.flatnonzero(~open_)[:1]))
+            open_rows = keep_company(np.flatnonzero(open_), np.flatnonzero(~open_))
             if len(open_rows) <= (1.0 - DROP_PART) * len(rows):
                 attacker.go_on_with(start.extract(attacker.engine, open_rows), open_rows)
                 rows = rows[open_rows]

@@ -411,8 +411,8 @@ def search_aims(
     least = 1.0
     for name, most in {} if backend.sums else JUDGED.items():
         settings = replace(settings, **{name: min(getattr(settings, name), most)})
-    shares = {AIMS[0]: aim(tuning.runs, tuning.budget), AIMS[1]: 0.5}
-    for name, share in list(shares.items())[: 1 if tuning.quick else None]:
+    budget = aim(tuning.runs, tuning.budget)
+    for name, share in zip(AIMS, (budget,) if tuning.quick else (budget, 0.5), strict=False):
         # what gets as far as any attack at few alarms does so at more of them
         if best is None or not best.saturated or share < least:
             others = {} if best is None else {BEFORE: best.rates_mps}
