@@ -24,14 +24,17 @@ import sys
 import tempfile
 import time
 import warnings
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache, lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 import platformdirs
 from numba.core import event, sigutils
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
@@ -42,6 +45,12 @@ from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined
 from numba.core.registry import CPUDispatcher
 from numba.core.types import Array
 from numba.core.types.misc import unliteral
+from numpy._core._multiarray_umath import (  # type: ignore[import-not-found]
+    __cpu_features__,
+)
+from numpy.typing import NDArray
+
+from .files import write_file
 
 
 class _Part(JITCodeLibrary):  # type: ignore[misc]
@@ -319,6 +328,29 @@ def cache_folder(layer: int) -> Path:
         folder.mkdir(mode=0o700)
     _prune(cache_parent(), folder)
     return folder
+
+
+def recall_arrays(
+    module: str, name: str, make: Callable[[], dict[str, NDArray[Any]]]
+) -> dict[str, NDArray[Any]]:
+    """What `make` of a module computes, from the folder of its compiled code if it is there: a file
+    for each version of numpy and kind of processor, which NumPy's bits depend on."""
+    if is_disabled():
+        return make()
+    known = np.__version__, sorted(__cpu_features__.items()), numba.config.CPU_NAME
+    kind = hashlib.sha256(repr(known).encode()).hexdigest()[:12]
+    path = cache_folder(find_layer(module)) / f"{name}-{kind}.npz"
+    try:
+        return dict(np.load(BytesIO(path.read_bytes())))
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
+        _print_note(f"{path} is damaged; it is computed again")
+    arrays, content = make(), BytesIO()
+    np.savez(content, allow_pickle=False, **arrays)
+    with suppress(OSError):  # such as a full disk: the next process computes it, too
+        write_file(path, content.getvalue())
+    return arrays
 
 
 @cache

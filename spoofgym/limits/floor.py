@@ -168,7 +168,7 @@ class Analyst:
         blind = simulator.memory["augmented_covariance"].copy()
         runs = record_from(simulator, look)
         coasting = np.stack(blocks, axis=1)
-        world = self.setup.world
+        world = self.setup.world.at_hand
         return [
             AnalystRun(as_it_happens(run, world), own)
             for run, own in zip(runs, coasting, strict=True)

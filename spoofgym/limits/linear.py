@@ -126,7 +126,7 @@ def record(
     simulator = observer(setup, len(rngs))
     simulator.start_episodes(rngs, given)
     run_to_onset(simulator)
-    return [as_it_happens(run, setup.world) for run in record_from(simulator)]
+    return [as_it_happens(run, setup.world.at_hand) for run in record_from(simulator)]
 
 
 def as_it_happens(run: LinearRun, world: GroundTruth) -> LinearRun:

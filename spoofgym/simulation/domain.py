@@ -487,7 +487,8 @@ class Combinations:
         return self._made[index]
 
     def _complete(self, index: int) -> Combination:
-        given, world = self._all[index], self.world.take(index // (self.grades * self.errors))
+        given = self._all[index]
+        world = self.world.at_hand.take(index // (self.grades * self.errors))  # its motion alone
         motion = partial(compute_motion, world, self._flown)
         belief = given.victim, given.assumed, self._step_s, motion, self.wandering
         noise, sheet = compute_assumed_noise(*belief), IMU_GRADES[given.grade]

@@ -29,7 +29,7 @@ from ..receiver.states import STATES
 from ..receiver.tight import TUNINGS
 from ..truth.events import BenignEvents, EventWindow, draw_events
 from ..truth.noise import pad_count
-from ..truth.run import GroundTruth, see_geometry
+from ..truth.run import GroundTruth, look_along, see_geometry
 from ..truth.scenario import Scenario, make_scenario
 from ..truth.sensors import SensorBuffers
 from ..truth.signal_errors import MAPPINGS, compute_mappings
@@ -127,7 +127,7 @@ class TightlyCoupledSetup(Setup):
         self.true_position, self.C_en, self.mappings = world.position_e, world.C_en, np.zeros(0)
         if self.combinations.with_signals:
             shape, compute = (world.channels, MAPPINGS), partial(_map_signals, self.interval_s)
-            self.mappings = world.tabulate(("mappings", self.interval_s), shape, compute)
+            self.mappings = world.tabulate(("mappings", self.interval_s), shape, compute, margin=1)
 
     def __getstate__(self) -> dict[str, Any]:
         tables = ("true_position", "C_en", "mappings")
@@ -179,7 +179,7 @@ class TightlyCoupledSetup(Setup):
         local_motion(self.true_position, velocity_e, self.C_en, *epochs_to_out)
 
     def geometry_table(self) -> FloatArray:
-        return self.world.tabulate("geometry", (len(self.geometry_names),), see_geometry)
+        return see_geometry(self.world)
 
     def probe_geometry(self) -> FloatArray | None:
         epochs, geometry = self.world.probe()
@@ -330,13 +330,14 @@ class TightlyCoupledSimulator(Simulator):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._build_worlds(self.memory["first"])
+        self._build_epochs()
         self.epoch = self._view()
         self._hold_arguments()
 
-    def _build_worlds(self, epochs: NDArray[np.int64]) -> None:
-        """Build the worlds that epochs are of, unless they are there."""
-        self.setup.world.build(np.unique(epochs // self.setup.epochs_each).tolist())
+    def _build_epochs(self) -> None:
+        """Build what there is to see in the episodes, unless it is there."""
+        last = self.onset + self.setup.steps + self.setup.hold
+        self.setup.world.build_epochs(self.memory["first"], last)
 
     @property
     def epochs(self) -> NDArray[np.int64]:
@@ -364,7 +365,7 @@ class TightlyCoupledSimulator(Simulator):
 
     def _start(self, choice: Choice) -> None:
         setup, b, first = self.setup, self.receivers, self.memory["first"]
-        self._build_worlds(first)
+        self._build_epochs()
         combinations = setup.combinations
         self.sensors.epoch[:] = first
         self.memory["combination"][:] = combinations.index(choice.world, choice.grade, choice.error)
@@ -699,8 +700,9 @@ class TightlyCoupledSimulator(Simulator):
         )
 
     def geometry(self, out: NDArray[np.float32]) -> None:
-        world, shape = self.setup.world.at_hand, (len(self.setup.geometry_names),)
-        out[:] = world.tabulate("geometry", shape, see_geometry)[self.epochs]
+        world, at = self.setup.world.at_hand, self.epochs
+        places = world.satellites[at, :, :3]
+        out[:] = look_along(places, world.position_e[at], world.C_en[at], world.visible[at])
 
     def get_record_columns(self) -> dict[str, NDArray[Any]]:
         offsets = self.sensors

@@ -246,6 +246,7 @@ class Trajectory(Flight):
         settle_array(self, "angular_rate_b", (self.time.size - 1, 3))
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Headings:
     r"""A flight in several directions, turned as a whole about the vertical where it begins.
 
@@ -261,36 +262,50 @@ class Headings:
     as of any flight, and so differs by millimetres.  At a lower rate, the flight's other samples
     are not kept.
 
-    `time` (M+1,) of every `count`-th state.
+    `step` of the flight [s], `start_e` (3,); `time` (M+1,), `velocity_e` and `C_eb` of every
+    `count`-th state; `whole`: the flight, where that is all of them.
     """
 
-    def __init__(self, flight: Flight, imu_rate_hz: float | None, epoch_interval_s: float) -> None:
-        self.count = 1
+    name: str
+    step: float
+    count: int
+    start_e: NDArray[np.float64]
+    time: NDArray[np.float64]
+    velocity_e: NDArray[np.float64]
+    C_eb: NDArray[np.float64]
+    whole: Flight | None = None
+
+    @classmethod
+    def sample(cls, flight: Flight, imu_rate_hz: float | None, epoch_interval_s: float) -> Headings:
+        count = 1
         if imu_rate_hz is not None:
-            self.count = compute_decimation(flight.step, imu_rate_hz, epoch_interval_s)
-        self.name, self._step = flight.name, flight.step
-        self._velocity_e = np.ascontiguousarray(flight.velocity_e[:: self.count])
-        self._start_e = flight.position_e[0].copy()
-        self.time = np.ascontiguousarray(flight.time[:: self.count])
-        self._C_eb = np.ascontiguousarray(flight.C_eb[:: self.count])
-        self._whole = flight if self.count == 1 else None
+            count = compute_decimation(flight.step, imu_rate_hz, epoch_interval_s)
+        names = "time", "velocity_e", "C_eb"
+        return cls(
+            name=flight.name,
+            step=flight.step,
+            count=count,
+            start_e=flight.position_e[0].copy(),
+            **{name: np.ascontiguousarray(getattr(flight, name)[::count]) for name in names},
+            whole=flight if count == 1 else None,
+        )
 
     def _turn(self, angle: float) -> NDArray[np.float64]:
-        latitude, longitude, _ = ecef_to_geodetic(self._start_e)
+        latitude, longitude, _ = ecef_to_geodetic(self.start_e)
         C_en = dcm_e_from_n(latitude, longitude)
         return np.asarray(C_en @ euler_to_dcm(0.0, 0.0, angle) @ C_en.T)
 
     def _move(self, angle: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Position and velocity (M+1, 3), turned."""
-        velocity_e = self._velocity_e
+        velocity_e = self.velocity_e
         if angle != 0.0:
             velocity_e = velocity_e @ self._turn(angle).T
-        return integrate_velocity(self._start_e, velocity_e, self.count * self._step), velocity_e
+        return integrate_velocity(self.start_e, velocity_e, self.count * self.step), velocity_e
 
     def fly(self, angle: float) -> Flight:
-        if angle == 0.0 and self._whole is not None:
-            return self._whole
-        C_eb = self._C_eb if angle == 0.0 else self._turn(angle) @ self._C_eb
+        if angle == 0.0 and self.whole is not None:
+            return self.whole
+        C_eb = self.C_eb if angle == 0.0 else self._turn(angle) @ self.C_eb
         return Flight(self.name, self.time, *self._move(angle), C_eb)
 
     def trajectory(self, angle: float) -> Trajectory:
@@ -299,8 +314,8 @@ class Headings:
 
     def positions(self, angle: float) -> NDArray[np.float64]:
         """(M+1, 3) `position_e` of a trajectory, and nothing else of it."""
-        if angle == 0.0 and self._whole is not None:
-            return self._whole.position_e
+        if angle == 0.0 and self.whole is not None:
+            return self.whole.position_e
         return self._move(angle)[0]
 
 

@@ -26,9 +26,10 @@ from ..earth.wgs84 import (
 from ._kernels import fill_ranges
 from .flight import Headings, Trajectory, split_rows
 from .manoeuvres import FLIGHTS
-from .satellites import Constellation
+from .satellites import Constellation, SatelliteStates
 
 FloatArray = NDArray[np.float64]
+Compute = Callable[["GroundTruth"], FloatArray]
 CHANNELS = 12
 FEWEST_CHANNELS, MOST_CHANNELS = 4, 32
 MASK_DEG = 10.0
@@ -132,12 +133,16 @@ class GroundTruth:
 
     @property
     def at_hand(self) -> GroundTruth:
-        """The same, for readers that look at worlds only once these have been built: see `Skies`;
+        """The same, for readers that look at epochs only once these have been built: see `Skies`;
         elsewhere there may be anything."""
         return self
 
     def build(self, worlds: Iterable[int]) -> None:
         """Build some of the worlds, unless they are there."""
+
+    def build_epochs(self, first: NDArray[np.int64], last: NDArray[np.int64]) -> None:
+        """Build the epochs from each of `first` to each of `last` of the same world, unless they
+        are there."""
 
     def take(self, w: int) -> GroundTruth:
         """World w, as views."""
@@ -157,10 +162,11 @@ class GroundTruth:
         return {}
 
     def tabulate(
-        self, key: Any, shape: tuple[int, ...], compute: Callable[[GroundTruth], FloatArray]
+        self, key: Any, shape: tuple[int, ...], compute: Compute, margin: int = 0
     ) -> FloatArray:
-        """(K, *shape) what `compute` makes of one world, at all epochs; made once for every `key`,
-        and with `at_hand` valid where worlds have been built."""
+        """(K, *shape) what `compute` makes of epochs of one world, each from itself and `margin`
+        (0 or 1) neighbours on each side; made once for every `key`, and with `at_hand` valid where
+        epochs have been built."""
         if key not in self._tables:
             self._tables[key] = np.ascontiguousarray(compute(self))
         return self._tables[key]
@@ -215,35 +221,37 @@ def build_world(
     epoch_end = find_epochs(time, epoch_interval_s)
     check_number("channels", channels, least=FEWEST_CHANNELS, most=MOST_CHANNELS, whole=True)
     check_number("mask_deg", mask_deg, least=0.0, most=HIGHEST_MASK_DEG)
-    position_e = trajectory.position_e[epoch_end]
-    velocity_e = trajectory.velocity_e[epoch_end]
-    C_en = np.ascontiguousarray(dcm_e_from_n(*ecef_to_geodetic(position_e)[:2]))
-    own = time[epoch_end], position_e, velocity_e, C_en
-    ids, satellites, seen = see_satellites(constellation, *own, channels, mask_deg)
+    motion, at = follow_flight(trajectory, epoch_end), time[epoch_end]
+    position_e = motion["position_e"]
+    states = constellation.states(at)
+    elevation, _ = look_angles(states.position_e, position_e, motion["C_en"])
+    usable = np.isfinite(states.position_e).all(-1) & np.isfinite(states.velocity_e).all(-1)
+    visible = usable & (elevation > np.radians(mask_deg))
+    chosen, ids, seen = fill_slots(constellation, at, visible, channels, mask_deg)
     return GroundTruth(
         name=trajectory.name,
         satellite_ids=ids,
         imu_time=time.copy(),
-        run=np.ascontiguousarray(  # stacked columns would lie as columns
-            np.vstack(
-                [
-                    trajectory.specific_force_b.T,
-                    trajectory.angular_rate_b.T,
-                    np.diff(time),
-                    1.0 / np.sqrt(np.diff(time)),
-                ]
-            )
-        ),
-        epoch_time=time[epoch_end].copy(),
+        epoch_time=at,
         epoch_end=epoch_end,
-        satellites=satellites,
+        satellites=place_satellites(states, chosen, seen, position_e, motion["velocity_e"]),
         visible=seen,
-        position_e=position_e.copy(),
-        velocity_e=velocity_e.copy(),
-        C_eb=trajectory.C_eb[epoch_end].copy(),
-        C_en=C_en,
+        **motion,
         decimation=trajectory.decimation,
     )
+
+
+def follow_flight(trajectory: Trajectory, epoch_end: NDArray[np.int64]) -> dict[str, FloatArray]:
+    """`run`, and at epochs `position_e`, `velocity_e`, `C_eb` and `C_en`, of `GroundTruth`."""
+    position_e, step = trajectory.position_e[epoch_end], np.diff(trajectory.time)
+    rows = trajectory.specific_force_b.T, trajectory.angular_rate_b.T, step, 1.0 / np.sqrt(step)
+    return {
+        "run": np.ascontiguousarray(np.vstack(rows)),  # stacked columns would lie as columns
+        "position_e": position_e,
+        "velocity_e": trajectory.velocity_e[epoch_end],
+        "C_eb": trajectory.C_eb[epoch_end],
+        "C_en": np.ascontiguousarray(dcm_e_from_n(*ecef_to_geodetic(position_e)[:2])),
+    }
 
 
 def find_epochs(time: FloatArray, epoch_interval_s: float) -> NDArray[np.int64]:
@@ -262,26 +270,19 @@ def find_epochs(time: FloatArray, epoch_interval_s: float) -> NDArray[np.int64]:
     return epoch_end
 
 
-def see_satellites(
-    constellation: Constellation,
-    time: FloatArray,
+def place_satellites(
+    states: SatelliteStates,
+    chosen: Sequence[int],
+    seen: NDArray[np.bool_],
     position_e: FloatArray,
     velocity_e: FloatArray,
-    C_en: FloatArray,
-    channels: int,
-    mask_deg: float,
-) -> tuple[tuple[str, ...], FloatArray, NDArray[np.bool_]]:
-    """`satellite_ids`, `satellites` and `visible` of `GroundTruth` at its epochs."""
-    states = constellation.states(time)
-    elevation, _ = look_angles(states.position_e, position_e, C_en)
-    usable = np.isfinite(states.position_e).all(-1) & np.isfinite(states.velocity_e).all(-1)
-    visible = usable & (elevation > np.radians(mask_deg))
-    chosen, ids, seen = fill_slots(constellation, time, visible, channels, mask_deg)
-    satellites = np.zeros((len(time), channels, 8))
-    satellites[:, :, :3] = _in_slots(states.position_e, chosen, channels)
-    satellites[:, :, 3:6] = _in_slots(states.velocity_e, chosen, channels)
+) -> FloatArray:
+    """`satellites` of `GroundTruth`: the `chosen` of some states in the first slots of `seen`."""
+    satellites = np.zeros((*seen.shape, 8))
+    satellites[:, :, :3] = _in_slots(states.position_e, chosen, seen.shape[1])
+    satellites[:, :, 3:6] = _in_slots(states.velocity_e, chosen, seen.shape[1])
     fill_ranges(satellites, seen, position_e, velocity_e)
-    return ids, satellites, seen
+    return satellites
 
 
 def fill_slots(
@@ -312,7 +313,7 @@ def fill_slots(
     return chosen, ids, seen
 
 
-def _in_slots(array: NDArray[Any], chosen: list[int], channels: int) -> FloatArray:
+def _in_slots(array: NDArray[Any], chosen: Sequence[int], channels: int) -> FloatArray:
     slots = np.zeros((len(array), channels, *array.shape[2:]))
     slots[:, : len(chosen)] = np.nan_to_num(array[:, chosen])
     return slots
@@ -436,7 +437,7 @@ def loose_world(trajectory: Trajectory, interval_s: float) -> LooseWorld:
 @lru_cache(maxsize=4)
 def flown_world(flight: str, interval_s: float, imu_rate_hz: float | None = None) -> LooseWorld:
     check_choice("flight", flight, FLIGHTS)
-    headings = Headings(FLIGHTS[flight](), imu_rate_hz, interval_s)
+    headings = Headings.sample(FLIGHTS[flight](), imu_rate_hz, interval_s)
     return loose_world(headings.trajectory(0.0), interval_s)
 
 

@@ -8,12 +8,15 @@ from dataclasses import fields, replace
 from functools import lru_cache, partial
 from typing import Any, TypeGuard
 
+import numpy as np
+
+from ..core.compile import recall_arrays
 from ..core.declared import setting, settings_record
 from ..core.registry import build_record, check_choice, require
 from .events import BenignEvents
 from .flight import Flight, Headings
 from .gnss_errors import ERRORS, GnssErrors
-from .manoeuvres import FLIGHTS
+from .manoeuvres import FLIGHTS, terminal
 from .run import (
     CHANNELS,
     FEWEST_CHANNELS,
@@ -180,8 +183,21 @@ class Scenario:
 
 
 def _steer(flight: str | Flight, imu_rate_hz: float | None, epoch_interval_s: float) -> Headings:
-    flown = FLIGHTS[flight]() if isinstance(flight, str) else flight
-    return Headings(flown, imu_rate_hz, epoch_interval_s)
+    """Headings of a flight; those of the package's own with fewer samples are computed once, since
+    a flight of hours takes seconds."""
+    make = FLIGHTS[flight] if isinstance(flight, str) else lambda: flight
+    rates = imu_rate_hz, epoch_interval_s
+    if imu_rate_hz is None or getattr(make, "__module__", "") != terminal.__module__:
+        return Headings.sample(make(), *rates)
+
+    def fly() -> dict[str, Any]:
+        found = Headings.sample(make(), *rates)
+        return {name: np.asarray(x) for name, x in vars(found).items() if name != "whole"}
+
+    name = f"{flight}-{imu_rate_hz:g}Hz-{epoch_interval_s:g}s"
+    stored: dict[str, Any] = recall_arrays(__name__, name, fly)
+    stored |= {name: stored[name].item() for name in ("name", "step", "count")}
+    return Headings(**stored)
 
 
 def at_rate(name: str, imu_rate_hz: float | None) -> str:

@@ -1,9 +1,8 @@
 """Skies: worlds of one flight in several directions and at several times of the constellation, each
-built when it is first needed.
+built piece by piece when it is first needed.
 
-What is known of all from the start is the little that receivers and detectors assume of them: which
-slots there are, how many satellites are in view, and how high each is when it comes into view.  It
-takes only the epochs at which a satellite is near the mask.
+What is known of all from the start is which satellite has which slot, when each is visible, and how
+high it is when it comes into view.  It takes only the epochs at which a satellite is near the mask.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,19 +19,21 @@ from numpy.typing import NDArray
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic, look_angles
 from .flight import Headings
 from .run import (
+    Compute,
     FloatArray,
     GroundTruth,
-    build_world,
     fill_slots,
     find_epochs,
+    follow_flight,
     look_along,
-    see_satellites,
+    place_satellites,
 )
 from .satellites import Constellation
 
 MOTION = ("position_e", "velocity_e", "C_eb", "C_en")
 AT_EPOCHS = ("epoch_time", "epoch_end", "satellites", "visible", *MOTION)
 KNOWN = ("name", "satellite_ids", "imu_time", "epoch_time", "epoch_end", "decimation")
+PIECE_EPOCHS = 512  # of a world that are built together
 STRIDE = 8  # epochs between two looks at satellites that are far from the mask
 MARGIN = 2.0  # by which a line of sight may turn faster between two looks than at them
 _lock = threading.RLock()
@@ -57,11 +59,11 @@ class Rules(NamedTuple):
 
 class SkyFacts(NamedTuple):
     """What is known of a world that has not been built: `satellite_ids` and `first_elevation` as of
-    `GroundTruth`, `in_view` (K,) int8, and `geometry` (E, 4n) at `probe_epochs`."""
+    `GroundTruth`, `visible` (K, n), and `geometry` (E, 4n) at `probe_epochs`."""
 
     satellite_ids: tuple[str, ...]
     first_elevation: FloatArray
-    in_view: NDArray[np.int8]
+    visible: NDArray[np.bool_]
     geometry: FloatArray
 
 
@@ -90,7 +92,7 @@ def look_up(
     places, C_en = np.zeros((PROBES, channels, 3)), _local_axes(position_e[at])
     places[:, : len(chosen)] = np.nan_to_num(constellation.states(time[at]).position_e[:, chosen])
     geometry = look_along(places, position_e[at], C_en, seen[at])
-    return SkyFacts(ids, heights, seen.sum(axis=1).astype(np.int8), geometry)
+    return SkyFacts(ids, heights, seen, geometry)
 
 
 def _local_axes(position_e: FloatArray) -> FloatArray:
@@ -156,85 +158,127 @@ class _Recipe:
             for run, (_, constellation) in zip(self.runs, self.places, strict=True)
         ]
 
-    def fly(self, w: int) -> GroundTruth:
-        """World w, with a run of inertial samples of its own."""
-        angle, constellation = self.places[w]
-        trajectory = self.get_headings().trajectory(angle)
-        return build_world(trajectory, constellation, **self.rules._asdict())
+    def fly(self, run: int) -> dict[str, FloatArray]:
+        """`follow_flight` in the direction of a run."""
+        headings = self.get_headings()
+        end = find_epochs(headings.time, self.rules.epoch_interval_s)
+        return follow_flight(headings.trajectory(self.angles[run]), end)
 
-    def forget(self, built: Sequence[bool]) -> None:
+    def forget(self, flown: int) -> None:
         """Let go of the flight once all directions have been flown."""
-        flown = {run for run, there in zip(self.runs, built, strict=True) if there}
-        if len(flown) == len(self.angles):
+        if flown == len(self.angles):
             self._made = None
-
-    def see(self, w: int, world: GroundTruth) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Satellites of world w, and which are visible, from a world with the same flight."""
-        motion = world.epoch_time, world.position_e, world.velocity_e, world.C_en
-        rules = self.rules.channels, self.rules.mask_deg
-        return see_satellites(self.places[w][1], *motion, *rules)[1:]
 
 
 class _Laid(GroundTruth):
-    """Worlds one after the other, of which those that have been built are there."""
+    """Worlds one after the other, of which those pieces that have been built are there; where each
+    satellite is visible is known of all."""
 
     _recipe: _Recipe
-    _built: list[bool]
-    _computed: dict[Any, Callable[[GroundTruth], FloatArray]]
+    _slots: list[list[int]]  # satellites of each world, by slot
+    _flown: dict[int, int]  # world that has the motion of each run
+    _moved: NDArray[np.bool_]  # (W,) worlds that have their motion
+    _built: NDArray[np.bool_]  # (W, P) pieces that have their satellites
+    _computed: dict[Any, tuple[Compute, int]]
 
     @property
     def worlds(self) -> int:
         return len(self._built)
 
+    @property
+    def _each(self) -> int:
+        return self.epochs // self.worlds
+
     def build(self, worlds: Iterable[int]) -> None:
         for w in worlds:
-            if not self._built[w]:
+            self._fill(w, range(self._built.shape[1]))
+
+    def build_epochs(self, first: NDArray[np.int64], last: NDArray[np.int64]) -> None:
+        (w, begin), end = np.divmod(first, self._each), last % self._each
+        spans = np.stack([w, begin // PIECE_EPOCHS, end // PIECE_EPOCHS], axis=1)
+        for world, low, high in np.unique(spans, axis=0).tolist():
+            self._fill(world, range(low, high + 1))
+
+    def fly(self, worlds: Iterable[int]) -> None:
+        """Have the motion of some worlds, all of it."""
+        for w in worlds:
+            if not self._moved[w]:
                 with _lock:
-                    if not self._built[w]:
-                        self._fill(w)
-                        self._built[w] = True
-                        self._recipe.forget(self._built)
+                    if not self._moved[w]:
+                        self._move(w)
+                        self._moved[w] = True
 
-    def _rows(self, w: int) -> slice:
-        each = self.epochs // self.worlds
-        return slice(w * each, (w + 1) * each)
-
-    def _fill(self, w: int) -> None:
-        recipe, rows = self._recipe, self._rows(w)
-        flown = recipe.runs[w]
-        same = (v for v, built in enumerate(self._built) if built and recipe.runs[v] == flown)
-        like = next(same, None)
-        if like is None:
-            world = recipe.fly(w)
-            samples = world.run.shape[1]
-            self.run[:, flown * samples : (flown + 1) * samples] = world.run
-            satellites, visible = world.satellites, world.visible
+    def _move(self, w: int) -> None:
+        recipe, run, rows = self._recipe, self._recipe.runs[w], self._rows(w)
+        if run in self._flown:
+            like = self._rows(self._flown[run])
+            motion = {name: getattr(self, name)[like] for name in MOTION}
         else:
-            world = self.take(like)
-            satellites, visible = recipe.see(w, world)
+            motion = recipe.fly(run)
+            samples = motion["run"].shape[1]
+            self.run[:, run * samples : (run + 1) * samples] = motion["run"]
         for name in MOTION:
-            getattr(self, name)[rows] = getattr(world, name)
-        self.satellites[rows], self.visible[rows] = satellites, visible
-        part = self.take(w)
-        for key, compute in self._computed.items():
-            self._tables[key][rows] = compute(part)
+            getattr(self, name)[rows] = motion[name]
+        self._flown.setdefault(run, w)
+        recipe.forget(len(self._flown))
+
+    def _fill(self, w: int, pieces: Iterable[int]) -> None:
+        if all(self._built[w, p] for p in pieces):
+            return
+        self.fly([w])
+        with _lock:
+            for p in pieces:
+                if not self._built[w, p]:
+                    part, inner = self._see(w, p, 1)
+                    self.satellites[self._rows(w, p)] = part.satellites[inner]
+                    for key in self._computed:
+                        self._compute(key, w, p)
+                    self._built[w, p] = True
+
+    def _rows(self, w: int, piece: int | None = None, margin: int = 0) -> slice:
+        """Epochs of a world, or of a piece of it with some beyond that are of the same world."""
+        first, last = w * self._each, (w + 1) * self._each
+        if piece is None:
+            return slice(first, last)
+        begin = first + piece * PIECE_EPOCHS
+        return slice(max(begin - margin, first), min(begin + PIECE_EPOCHS + margin, last))
+
+    def _see(self, w: int, piece: int, margin: int) -> tuple[GroundTruth, slice]:
+        """A piece with its satellites and some epochs beyond; which of its epochs are the piece."""
+        rows, wide = self._rows(w, piece), self._rows(w, piece, margin)
+        part = self._view(wide)
+        motion = part.position_e, part.velocity_e
+        states = self._recipe.places[w][1].states(part.epoch_time)
+        satellites = place_satellites(states, self._slots[w], part.visible, *motion)
+        inner = slice(rows.start - wide.start, rows.stop - wide.start)
+        return replace(part, satellites=satellites), inner
+
+    def _compute(self, key: Any, w: int, piece: int) -> None:
+        compute, margin = self._computed[key]
+        rows = self._rows(w, piece)
+        part, inner = self._see(w, piece, margin) if margin else (self._view(rows), slice(None))
+        self._tables[key][rows] = compute(part)[inner]
+
+    def _view(self, rows: slice) -> GroundTruth:
+        views: dict[str, Any] = {name: getattr(self, name)[rows] for name in AT_EPOCHS}
+        views |= {name: getattr(self, name) for name in KNOWN if name not in AT_EPOCHS}
+        return GroundTruth(**views, run=self.run)
 
     def take(self, w: int) -> GroundTruth:
-        views: dict[str, Any] = {name: getattr(self, name)[self._rows(w)] for name in AT_EPOCHS}
-        first, samples = int(views["epoch_end"][0]), len(self.imu_time) - 1
-        views["epoch_end"] = views["epoch_end"] - first
-        views |= {name: getattr(self, name) for name in KNOWN if name not in AT_EPOCHS}
-        return GroundTruth(**views, run=self.run[:, first : first + samples])
+        world = self._view(self._rows(w))
+        first, samples = int(world.epoch_end[0]), len(self.imu_time) - 1
+        run = self.run[:, first : first + samples]
+        return replace(world, epoch_end=world.epoch_end - first, run=run)
 
     def tabulate(
-        self, key: Any, shape: tuple[int, ...], compute: Callable[[GroundTruth], FloatArray]
+        self, key: Any, shape: tuple[int, ...], compute: Compute, margin: int = 0
     ) -> FloatArray:
         with _lock:
             if key not in self._tables:
-                self._tables[key] = table = np.zeros((self.epochs, *shape))
-                self._computed[key] = compute
-                for w in np.flatnonzero(self._built).tolist():
-                    table[self._rows(w)] = compute(self.take(w))
+                self._tables[key] = np.zeros((self.epochs, *shape))
+                self._computed[key] = compute, margin
+                for w, piece in np.argwhere(self._built).tolist():
+                    self._compute(key, w, piece)
         return self._tables[key]
 
 
@@ -242,7 +286,8 @@ class Skies(GroundTruth):
     """`GroundTruth` in which the epochs of some worlds follow one another. World w of K epochs each
     has the epochs ``w K`` to ``(w + 1) K - 1``. Times start again with each; nothing may cross from
     one to the next. An array that is read here has all worlds, which are built for that; those of
-    `at_hand` only what `build` has been called for, the same to the last bit in any order.
+    `at_hand` only what `build` or `build_epochs` has been called for, the same to the last bit in
+    any order.
 
     `headings`: of the flight; `places`: direction [rad] and satellites of each world; `rules`: as
     of `build_world`; `facts`: of the worlds, where they are known already.
@@ -271,7 +316,10 @@ class Skies(GroundTruth):
     def __getattr__(self, name: str) -> Any:
         if name not in GroundTruth.__dataclass_fields__ or "_laid" not in vars(self):
             raise AttributeError(name)
-        self.build(range(self.worlds))
+        if name in ("run", *MOTION):
+            self._laid.fly(range(self.worlds))
+        elif name != "visible":
+            self.build(range(self.worlds))
         return getattr(self._laid, name)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -293,12 +341,11 @@ class Skies(GroundTruth):
     def nbytes(self) -> int:
         return self._laid.nbytes
 
-    @property
-    def in_view(self) -> NDArray[np.integer[Any]]:
-        return np.concatenate([each.in_view for each in self._facts])
-
     def build(self, worlds: Iterable[int]) -> None:
         self._laid.build(worlds)
+
+    def build_epochs(self, first: NDArray[np.int64], last: NDArray[np.int64]) -> None:
+        self._laid.build_epochs(first, last)
 
     def take(self, w: int) -> GroundTruth:
         self.build([w])
@@ -312,10 +359,10 @@ class Skies(GroundTruth):
         return np.array([each.first_elevation for each in self._facts])
 
     def tabulate(
-        self, key: Any, shape: tuple[int, ...], compute: Callable[[GroundTruth], FloatArray]
+        self, key: Any, shape: tuple[int, ...], compute: Compute, margin: int = 0
     ) -> FloatArray:
         self.build(range(self.worlds))
-        return self._laid.tabulate(key, shape, compute)
+        return self._laid.tabulate(key, shape, compute, margin)
 
 
 def _lay(recipe: _Recipe, facts: Sequence[SkyFacts]) -> _Laid:
@@ -334,12 +381,24 @@ def _lay(recipe: _Recipe, facts: Sequence[SkyFacts]) -> _Laid:
         run=np.zeros((8, len(recipe.angles) * samples)),
         epoch_time=np.tile(time[end], count),
         epoch_end=np.tile(end, count) + starts,
-        visible=np.zeros((count * each, n), dtype=np.bool_),
+        visible=np.concatenate([fact.visible for fact in facts]),
         **{name: np.zeros((count * each, *shape)) for name, shape in shapes.items()},
         **{name: np.zeros((count * each, 3, 3)) for name in ("C_eb", "C_en")},
         decimation=headings.count,
     )
-    object.__setattr__(laid, "_recipe", recipe)
-    object.__setattr__(laid, "_built", [False] * count)
-    object.__setattr__(laid, "_computed", {})
+    number = [{name: j for j, name in enumerate(sky.satellite_ids)} for _, sky in recipe.places]
+    slots = [
+        [of[name] for name in fact.satellite_ids if name]
+        for of, fact in zip(number, facts, strict=True)
+    ]
+    state = {
+        "_recipe": recipe,
+        "_slots": slots,
+        "_flown": {},
+        "_moved": np.zeros(count, dtype=np.bool_),
+        "_built": np.zeros((count, -(-each // PIECE_EPOCHS)), dtype=np.bool_),
+        "_computed": {},
+    }
+    for name, value in state.items():
+        object.__setattr__(laid, name, value)
     return laid

@@ -139,7 +139,7 @@ def test_draws_are_uniform_and_by_the_key_alone():
 
 def test_a_turned_flight_is_the_same_flight_in_another_direction():
     flight = car()
-    other = Headings(flight, None, 0.5).fly(np.radians(90.0))
+    other = Headings.sample(flight, None, 0.5).fly(np.radians(90.0))
     np.testing.assert_array_equal(other.position_e[0], flight.position_e[0])
     north, east, down = flight.velocity_n.T
     np.testing.assert_allclose(other.velocity_n[0], [-east[0], north[0], down[0]], atol=1e-9)

@@ -8,12 +8,13 @@ import threading
 import numpy as np
 import pytest
 
+from spoofgym.core import compile as compiling
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.simulation.domain import Domain, build_worlds
 from spoofgym.simulation.engine import Engine
 from spoofgym.truth import flight as flights
 from spoofgym.truth.flight import Headings, inverse_kinematics
-from spoofgym.truth.manoeuvres import LONG_S, car, en_route, terminal
+from spoofgym.truth.manoeuvres import FLIGHTS, LONG_S, car, en_route, terminal
 from spoofgym.truth.run import build_world
 from spoofgym.truth.satellites import CircularConstellation
 from spoofgym.truth.scenario import Scenario
@@ -73,16 +74,16 @@ def test_every_world_of_a_chain_is_the_one_built_alone(turned_deg):
     assert chained.run.shape == (8, turns * 1200)
     assert build_worlds(scenario, domain)[0] is chained
     chained = pickle.loads(pickle.dumps(chained))
-    assert not chained.at_hand.visible.any()  # nothing is built before it is drawn
+    assert not chained.at_hand.satellites.any()  # nothing is built before it is drawn
     for w in (2, 3, 1):
         chained.build([w])
-        assert chained.at_hand.visible.reshape(count, -1).any(axis=1)[w]
-    assert not chained.at_hand.visible.reshape(count, -1)[0].any()
+        assert chained.at_hand.satellites.reshape(count, -1).any(axis=1)[w]
+    assert not chained.at_hand.satellites.reshape(count, -1)[0].any()
     heights, in_view = chained.list_first_elevations(), chained.in_view.reshape(count, -1)
     for w, (turn, time) in enumerate(domain.pairs()):
-        flight = Headings(car(), None, 0.5).fly(np.radians(turn))
+        flight = Headings.sample(car(), None, 0.5).fly(np.radians(turn))
         sky = CircularConstellation(time_offset_s=time)
-        alone = build_world(Headings(flight, 20.0, 0.5).trajectory(0.0), sky)
+        alone = build_world(Headings.sample(flight, 20.0, 0.5).trajectory(0.0), sky)
         part = chained.take(w)
         np.testing.assert_array_equal(heights[w], alone.first_elevation)
         np.testing.assert_array_equal(in_view[w], alone.visible.sum(axis=1))
@@ -96,13 +97,62 @@ def test_every_world_of_a_chain_is_the_one_built_alone(turned_deg):
             np.testing.assert_array_equal(each, whole[some])
 
 
+def test_a_stretch_of_a_world_has_the_bits_of_the_whole():
+    """Within a piece, over its edges and those of the world; tables with neighbours, and late."""
+    domain = Domain(worlds=2, turns=1, constellation_time_s=(0.0, 86_400.0), world_seed=3)
+    scenario = Scenario(flight="approach", imu_rate_hz=20.0)
+    skies = [(t, CircularConstellation(time_offset_s=s)) for t, s in domain.pairs()]
+    whole, stretched = (scenario.chained_world(skies) for _ in range(2))
+
+    def compute(part):
+        return compute_mappings(part.elevation, STEP_S, part.epochs)
+
+    expected = whole.tabulate("mappings", (12, MAPPINGS), compute, margin=1)
+    each = whole.epochs // 2
+    first = np.array([500, each + 100, each])
+    last = np.array([520, each + 130, 2 * each - 1])
+    for k, (low, high) in enumerate(zip(first, last, strict=True)):
+        if k == 2:
+            late = stretched.at_hand.tabulate("late", (12, MAPPINGS), compute, margin=1)
+        found = stretched.at_hand.tabulate("mappings", (12, MAPPINGS), compute, margin=1)
+        stretched.build_epochs(first[k : k + 1], last[k : k + 1])
+        rows = slice(low, high + 1)
+        np.testing.assert_array_equal(found[rows], expected[rows])
+        for name in ("satellites", "visible", "position_e", "C_en"):
+            np.testing.assert_array_equal(
+                getattr(stretched.at_hand, name)[rows], getattr(whole, name)[rows], err_msg=name
+            )
+    np.testing.assert_array_equal(late[500:521], expected[500:521])
+
+
+def test_a_flight_is_computed_once_and_again_where_its_file_is_damaged(tmp_path, monkeypatch):
+    made, sample = [], Headings.sample
+    monkeypatch.setattr(Headings, "sample", lambda *given: made.append(1) or sample(*given))
+    monkeypatch.setattr(compiling, "cache_folder", lambda layer: tmp_path)
+    scenario = Scenario(flight="car", imu_rate_hz=20.0)
+    first = scenario.chained_world([(0.0, CircularConstellation())])
+    again = scenario.chained_world([(0.0, CircularConstellation())])
+    assert len(made) == 1
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:-5000])
+    third = scenario.chained_world([(0.0, CircularConstellation())])
+    assert len(made) == 2
+    monkeypatch.setitem(FLIGHTS, "car", lambda: car())  # a flight from outside may change unnoticed
+    for _ in range(2):
+        scenario.chained_world([(0.0, CircularConstellation())])
+    assert len(made) == 4
+    for world in (again, third):
+        for name in ("run", "position_e", "C_eb", "satellites"):
+            np.testing.assert_array_equal(getattr(world, name), getattr(first, name))
+
+
 def test_a_look_at_some_epochs_finds_every_rise_and_set(long_flight):
     trajectory = inverse_kinematics(long_flight[0])
     for offset_s in (0.0, 30_000.0):
         sky = CircularConstellation(time_offset_s=offset_s)
         alone = build_world(trajectory, sky)
         known = look_up(sky, trajectory.time, trajectory.position_e, 12, 10.0)
-        np.testing.assert_array_equal(known.in_view, alone.visible.sum(axis=1))
+        np.testing.assert_array_equal(known.visible, alone.visible)
         np.testing.assert_array_equal(known.first_elevation, alone.first_elevation)
         assert known.satellite_ids == alone.satellite_ids
 
@@ -124,7 +174,7 @@ def test_receivers_in_threads_build_the_skies_that_they_draw():
         thread.start()
     for thread in threads:
         thread.join()
-    built = setup.world.at_hand.visible.reshape(6, -1).any(axis=1)
+    built = setup.world.at_hand.satellites.reshape(6, -1).any(axis=1)
     np.testing.assert_array_equal(built, [False, True, False, True, True, False])
     later, moved = {}, pickle.loads(pickle.dumps(setup))
     for world, _ in ended:
