@@ -20,6 +20,7 @@ from ..receiver._kernels import work_rows
 from ..receiver.epoch import ReceiverBuffers
 from ..simulation.tight import ATTACK_FORMS, TightlyCoupledSimulator
 from ..truth.noise import pad_count
+from ..truth.signal_errors import OBLIQUITIES
 from . import _kernels
 from ._lanes import SIMULATED
 from .supported import split_scale
@@ -108,7 +109,7 @@ class Layout:
         rules = setup.receiver
         whether = rules.covariance_code, rules.min_satellites, rules.orthonormalize
         axes_e = getattr(attack, "axes_e", np.zeros((1, 1, 6)))
-        no_mappings = np.zeros((0, self.channels, 6))
+        no_mappings = np.zeros((0, self.channels, OBLIQUITIES))
         shared = {
             **{name: getattr(world, name) for name in ("run", "epoch_time", "epoch_end")},
             **{name: getattr(world, name) for name in ("satellites", "position_e", "velocity_e")},

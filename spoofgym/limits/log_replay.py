@@ -31,7 +31,7 @@ from .bounds import HATS as BOUND_HATS
 from .bounds import Attacker, ZeroAlarm, bound_displacement
 from .linear import LinearRun, hat_functions, mechanize_transition, respond
 from .no_alarm import Timing
-from .response import HATS, MATRICES, LinearReplay, check_replayable
+from .response import HATS, LinearReplay, check_replayable, shorten
 
 FEWEST_WINDOWS = 8
 """From which on attacks are played: with fewer, half of them are too few to choose on."""
@@ -103,8 +103,7 @@ class LogReplay(LinearReplay):
         for k in range(self.epochs):
             epoch = log.gather_epoch(self.starts + k)
             for name, arrays in stored.items():
-                array = getattr(epoch, name)
-                arrays.append(array.astype(np.float32) if name in MATRICES else array)
+                arrays.append(shorten(name, getattr(epoch, name)))
         self._epochs, self.group = stored, np.arange(self.runs)
         self._set_hats(hat_functions(self.steps, HATS))
 

@@ -49,6 +49,7 @@ HATS = 40  # hat functions of the rate by which the response is known, over the 
 UNKNOWN_RESPONSES = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
 MATRICES = {"transition", "predicted_cov", "design", "innovation_cov"}
 """Fields that are stored in single precision, as the responses are."""
+SYMMETRIC = {"predicted_cov", "innovation_cov"}  # of which the lower triangles are stored
 RUNS_AT_ONCE = 8  # whose matrices are held in memory together
 SEPARATED_AT_ONCE = 160  # runs and attacks whose separations are judged together
 JUDGED_AT_ONCE = 576  # runs and attacks that other detectors judge together
@@ -105,6 +106,21 @@ def judge_passive(detector: Detector, epoch: Epoch) -> Verdict:
             "the gains of the filter: play it on the engine"
         )
     return verdict
+
+
+def shorten(name: str, array: NDArray[Any]) -> NDArray[Any]:
+    """Copy of a field of an epoch (B, ...), as it is stored."""
+    if name in SYMMETRIC:
+        array = array[(slice(None), *np.tril_indices(array.shape[-1]))]
+    return np.array(array, dtype=np.float32 if name in MATRICES else array.dtype)
+
+
+def unpack_symmetric(triangles: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(B, n, n) of lower triangles (B, n (n + 1) / 2), row by row."""
+    n = math.isqrt(2 * triangles.shape[1])
+    row, column = np.indices((n, n))
+    low, high = np.minimum(row, column), np.maximum(row, column)
+    return triangles[:, high * (high + 1) // 2 + low]
 
 
 class _Watch(PassiveDetectors):
@@ -324,6 +340,8 @@ class LinearReplay:
             arrays = {}
             for name in ALWAYS | detector.needs:
                 array = self._epochs[name][k][rows]
+                if name in SYMMETRIC:
+                    array = unpack_symmetric(array)
                 if name not in buffers:
                     dtype = np.float64 if name in MATRICES else array.dtype
                     buffers[name] = np.empty((attacks, *array.shape), dtype=dtype)
@@ -405,8 +423,7 @@ class Replay(LinearReplay):
             epoch = idle()
             for name, array in epoch._asdict().items():
                 if array is not None:
-                    dtype = np.float32 if name in MATRICES else array.dtype
-                    stored.setdefault(name, []).append(np.array(array, dtype=dtype))
+                    stored.setdefault(name, []).append(shorten(name, array))
             simulator.update(None)
         self._epochs, self.epochs = stored, len(stored["time"])
 

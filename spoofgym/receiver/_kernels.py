@@ -25,7 +25,7 @@ from ..earth.wgs84 import EARTH_RATE, range_and_rate
 from ..truth import _kernels as world
 from ..truth._kernels import SKY, keep3, load3, store3
 from ..truth.noise import BLOCK, deviates, to_integer
-from ..truth.signal_errors import MAPPINGS, count_deviates
+from ..truth.signal_errors import MAPPINGS, OBLIQUITIES, count_deviates
 from . import kalman
 from .epoch import assumed_shapes, receiver_shapes
 from .states import INDEX, TERMS, propagate_covariance, transition_terms
@@ -334,8 +334,8 @@ def sample(a, w, group, epoch, measured, base):
 # - `epoch_time`, `epoch_end`, `satellites`: of `World`;
 # - `rules`: covariance update, fewest satellites, whether to re-orthonormalize, deviates of an
 #   epoch for inertial sensors and for GNSS;
-# - `signals`, `mappings`: lane array of `signal_shapes`, and (K, n, 6) what is known of the lines
-#   of sight; both empty where no signal has such errors.
+# - `signals`, `mappings`: lane array of `signal_shapes`, and (K, n, 4) `stack_obliquities` of the
+#   lines of sight; both empty where no signal has such errors.
 Arrays = namedtuple(
     "Arrays",
     "x assumed out places visible coasting sensors constants keys epochs range_offset rate_offset "
@@ -442,7 +442,7 @@ def predict_group(a, w, group, what):
 def disturb_group(a, w, group, sensor_base, key_row, epoch, tau, picked_up):
     n, rest = a.visible.shape[1], w.rest[picked_up.shape[0] :]
     mapping, rest = rest[: MAPPINGS * n], rest[MAPPINGS * n :]
-    world.gather_mappings(a.mappings, w.spans[0], mapping)
+    world.gather_mappings(a.mappings, a.epoch_time, w.spans[0], mapping)
     key0 = load(a.keys, key_row + world.CORRELATED_KEY)
     key1 = load(a.keys, key_row + world.CORRELATED_KEY + 1)
     size = -(-count_deviates(n) // BLOCK) * BLOCK
@@ -495,7 +495,7 @@ def arrays_at(table, work, channels):
         floats_at(table, 17).reshape((epoch_time.shape[0], n, SKY)),
         integers_at(table, 18),
         rows_at(table, 19, work),
-        mappings.reshape((mappings.shape[0] // (MAPPINGS * n), n, MAPPINGS)),
+        mappings.reshape((mappings.shape[0] // (OBLIQUITIES * n), n, OBLIQUITIES)),
     )
 
 

@@ -32,7 +32,7 @@ from ..truth.noise import pad_count
 from ..truth.run import GroundTruth, look_along, see_geometry
 from ..truth.scenario import Scenario, make_scenario
 from ..truth.sensors import SensorBuffers
-from ..truth.signal_errors import MAPPINGS, compute_mappings
+from ..truth.signal_errors import MAPPINGS, OBLIQUITIES, compute_mappings, stack_obliquities
 from . import _kernels
 from ._kernels import JUDGE, REMEMBER, displace, local_motion
 from .domain import Choice, Combinations, Domain, FloatArray, build_worlds
@@ -126,8 +126,10 @@ class TightlyCoupledSetup(Setup):
         world = self.world.at_hand
         self.true_position, self.C_en, self.mappings = world.position_e, world.C_en, np.zeros(0)
         if self.combinations.with_signals:
-            shape, compute = (world.channels, MAPPINGS), partial(_map_signals, self.interval_s)
-            self.mappings = world.tabulate(("mappings", self.interval_s), shape, compute, margin=1)
+            shape = world.channels, OBLIQUITIES
+            self.mappings = world.tabulate(
+                "obliquities", shape, lambda part: stack_obliquities(part.elevation)
+            )
 
     def __getstate__(self) -> dict[str, Any]:
         tables = ("true_position", "C_en", "mappings")
@@ -212,10 +214,6 @@ def _commanded(
     if {"control", "basis"} & {*chosen}:
         return as_offsets(attack, **chosen)
     return replace(attack, threat="", **chosen) if chosen else attack
-
-
-def _map_signals(interval_s: float, world: GroundTruth) -> FloatArray:
-    return compute_mappings(world.elevation, interval_s, world.epochs)
 
 
 def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
@@ -456,7 +454,9 @@ class TightlyCoupledSimulator(Simulator):
             return
         buffers, setup, n = self.buffers, self.setup, self.setup.world.channels
         seen, assumed = buffers.seen, buffers.assumed
-        mapping = setup.mappings[self.epochs] if setup.mappings.size else np.zeros((1, n, MAPPINGS))
+        mapping = np.zeros((1, n, MAPPINGS))
+        if setup.mappings.size:
+            mapping = compute_mappings(setup.mappings, setup.epoch_time, self.epochs)
         inertial = seen["transition"], seen["imu_delta"], assumed["noise_psd"], buffers.interval
         model = seen["design"], mapping, buffers.visible
         measured = seen["innovation"], assumed["noise_variance"], setup.receiver.min_satellites

@@ -12,7 +12,7 @@ from .clock import advance_clock
 from .gnss_errors import gauss_markov_step
 from .noise import BLOCK, deviates, exponential, normals
 from .sensors import CONSTANTS, SOURCES, WANDERING, sensor_shapes
-from .signal_errors import MAPPINGS, count_deviates, signal_shapes
+from .signal_errors import MAPPINGS, count_deviates, find_neighbours, signal_shapes
 
 _ROWS = first_rows(sensor_shapes(1))
 RESIDUAL, CLOCK = _ROWS["residual"], _ROWS["clock"]
@@ -248,11 +248,19 @@ def _advance_process(x, row, value, rate, moves, first, second):
 
 
 @njit
-def gather_mappings(mappings, epochs, out):
+def gather_mappings(table, time, epochs, out):
+    """Put what `compute_mappings` has at each lane's epoch into rows ``6 s`` to ``6 s + 5``."""
     for index in range(epochs.shape[0]):
-        for s in range(mappings.shape[1]):
-            for i in range(MAPPINGS):
-                set_lane(out, MAPPINGS * s + i, index, mappings[epochs[index], s, i])
+        k = epochs[index]
+        before, after = find_neighbours(time, k)
+        span = time[after] - time[before]
+        for s in range(table.shape[1]):
+            row = MAPPINGS * s
+            for i in range(2):
+                change = table[after, s, i] - table[before, s, i]
+                set_lane(out, row + 2 * i, index, table[k, s, i])
+                set_lane(out, row + 2 * i + 1, index, change / span)
+                set_lane(out, row + 4 + i, index, table[k, s, 2 + i])
 
 
 @njit

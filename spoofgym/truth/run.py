@@ -141,8 +141,8 @@ class GroundTruth:
         """Build some of the worlds, unless they are there."""
 
     def build_epochs(self, first: NDArray[np.int64], last: NDArray[np.int64]) -> None:
-        """Build the epochs from each of `first` to each of `last` of the same world, unless they
-        are there."""
+        """Build the epochs from each of `first` to each of `last` of the same world, and one before
+        and after, for rates of change, unless they are there."""
 
     def take(self, w: int) -> GroundTruth:
         """World w, as views."""
@@ -161,12 +161,9 @@ class GroundTruth:
     def _tables(self) -> dict[Any, FloatArray]:
         return {}
 
-    def tabulate(
-        self, key: Any, shape: tuple[int, ...], compute: Compute, margin: int = 0
-    ) -> FloatArray:
-        """(K, *shape) what `compute` makes of epochs of one world, each from itself and `margin`
-        (0 or 1) neighbours on each side; made once for every `key`, and with `at_hand` valid where
-        epochs have been built."""
+    def tabulate(self, key: Any, shape: tuple[int, ...], compute: Compute) -> FloatArray:
+        """(K, *shape) what `compute` makes of epochs, each by itself; made once for every `key`,
+        and with `at_hand` valid where epochs have been built."""
         if key not in self._tables:
             self._tables[key] = np.ascontiguousarray(compute(self))
         return self._tables[key]

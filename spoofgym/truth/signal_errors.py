@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.compile import inline_njit
+from ..core.compile import inline_njit, njit
 from ..core.declared import check_number, setting, settings_record
 from ..core.registry import require
 from .noise import normals, pad_count
@@ -23,9 +23,9 @@ FloatArray = NDArray[np.float64]
 IONOSPHERE_HEIGHT_M = 350_000.0  # height of the thin shell (`do-229`, A.4.4.10.4)
 SHELL_RADIUS_M = 6_378_136.3  # radius of the Earth below it, there
 MULTIPATH_DEG, NOISE_DEG = 10.0, 6.9  # fall to 1/e there (`do-229`, J.2.4; `wgc2016`)
-# What is known of a line of sight: obliquity of ionosphere and troposphere, each with its rate
-# [1/s], and the two exponentials of multipath and noise.
-MAPPINGS = 6
+# What is stored of a line of sight, and that with the rates [1/s] of the first two: obliquity of
+# ionosphere and of troposphere, and the two exponentials of multipath and noise.
+OBLIQUITIES, MAPPINGS = 4, 6
 HALF_LIFE = 2.146193220620583  # of a critically damped process: (1 + x) exp(-x) is 1/e at this x
 DRAWN = 1 << 41  # counter of the deviates with which an episode starts
 NEVER = 1e18  # as an epoch: after all
@@ -122,19 +122,34 @@ def obliquities(elevation: FloatArray) -> tuple[FloatArray, ...]:
     )
 
 
-def compute_mappings(elevation: FloatArray, interval_s: float, epochs_each: int) -> FloatArray:
-    """(K, n, 6) what is true of every line of sight at every epoch (`MAPPINGS`), with rates from
-    the epochs before and after. `elevation` (K, n) true ones [rad], of worlds of `epochs_each`
-    epochs one after the other."""
-    ionosphere, troposphere, multipath, noise = obliquities(elevation)
+def stack_obliquities(elevation: FloatArray) -> FloatArray:
+    """(K, n, 4) of true elevations (K, n) [rad]."""
+    return np.ascontiguousarray(np.stack(obliquities(elevation), axis=-1))
 
-    def rate(mapping: FloatArray) -> FloatArray:
-        """Of change by time, world by world."""
-        each = mapping.reshape(-1, epochs_each, mapping.shape[1])
-        return np.asarray(np.gradient(each, interval_s, axis=1)).reshape(mapping.shape)
 
-    columns = ionosphere, rate(ionosphere), troposphere, rate(troposphere), multipath, noise
-    return np.ascontiguousarray(np.stack(columns, axis=-1))
+@inline_njit
+def find_neighbours(time: FloatArray, k: int) -> tuple[int, int]:
+    """Epochs before and after one; itself where its world begins or ends, and times start again."""
+    before = k - 1 if k > 0 and time[k - 1] < time[k] else k
+    after = k + 1 if k + 1 < time.shape[0] and time[k] < time[k + 1] else k
+    return before, after
+
+
+@njit
+def compute_mappings(table: FloatArray, time: FloatArray, epochs: NDArray[np.int64]) -> FloatArray:
+    """(B, n, 6) what is true of every line of sight (`MAPPINGS`) at some epochs (B,), with rates
+    from the epochs before and after. `table` (K, n, 4) of `stack_obliquities`, `time` (K,) [s]."""
+    found = np.empty((epochs.shape[0], table.shape[1], MAPPINGS))
+    for b in range(epochs.shape[0]):
+        k = epochs[b]
+        before, after = find_neighbours(time, k)
+        span = time[after] - time[before]
+        for s in range(table.shape[1]):
+            for i in range(2):
+                found[b, s, 2 * i] = table[k, s, i]
+                found[b, s, 2 * i + 1] = (table[after, s, i] - table[before, s, i]) / span
+                found[b, s, 4 + i] = table[k, s, 2 + i]
+    return found
 
 
 def causal_mappings(

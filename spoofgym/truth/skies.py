@@ -179,7 +179,7 @@ class _Laid(GroundTruth):
     _flown: dict[int, int]  # world that has the motion of each run
     _moved: NDArray[np.bool_]  # (W,) worlds that have their motion
     _built: NDArray[np.bool_]  # (W, P) pieces that have their satellites
-    _computed: dict[Any, tuple[Compute, int]]
+    _computed: dict[Any, Compute]
 
     @property
     def worlds(self) -> int:
@@ -195,6 +195,7 @@ class _Laid(GroundTruth):
 
     def build_epochs(self, first: NDArray[np.int64], last: NDArray[np.int64]) -> None:
         (w, begin), end = np.divmod(first, self._each), last % self._each
+        begin, end = np.maximum(begin - 1, 0), np.minimum(end + 1, self._each - 1)
         spans = np.stack([w, begin // PIECE_EPOCHS, end // PIECE_EPOCHS], axis=1)
         for world, low, high in np.unique(spans, axis=0).tolist():
             self._fill(world, range(low, high + 1))
@@ -229,35 +230,25 @@ class _Laid(GroundTruth):
         with _lock:
             for p in pieces:
                 if not self._built[w, p]:
-                    part, inner = self._see(w, p, 1)
-                    self.satellites[self._rows(w, p)] = part.satellites[inner]
+                    part = self._view(self._rows(w, p))
+                    states = self._recipe.places[w][1].states(part.epoch_time)
+                    seen = part.visible, part.position_e, part.velocity_e
+                    part.satellites[:] = place_satellites(states, self._slots[w], *seen)
                     for key in self._computed:
                         self._compute(key, w, p)
                     self._built[w, p] = True
 
-    def _rows(self, w: int, piece: int | None = None, margin: int = 0) -> slice:
-        """Epochs of a world, or of a piece of it with some beyond that are of the same world."""
+    def _rows(self, w: int, piece: int | None = None) -> slice:
+        """Epochs of a world, or of a piece of it."""
         first, last = w * self._each, (w + 1) * self._each
         if piece is None:
             return slice(first, last)
         begin = first + piece * PIECE_EPOCHS
-        return slice(max(begin - margin, first), min(begin + PIECE_EPOCHS + margin, last))
-
-    def _see(self, w: int, piece: int, margin: int) -> tuple[GroundTruth, slice]:
-        """A piece with its satellites and some epochs beyond; which of its epochs are the piece."""
-        rows, wide = self._rows(w, piece), self._rows(w, piece, margin)
-        part = self._view(wide)
-        motion = part.position_e, part.velocity_e
-        states = self._recipe.places[w][1].states(part.epoch_time)
-        satellites = place_satellites(states, self._slots[w], part.visible, *motion)
-        inner = slice(rows.start - wide.start, rows.stop - wide.start)
-        return replace(part, satellites=satellites), inner
+        return slice(begin, min(begin + PIECE_EPOCHS, last))
 
     def _compute(self, key: Any, w: int, piece: int) -> None:
-        compute, margin = self._computed[key]
         rows = self._rows(w, piece)
-        part, inner = self._see(w, piece, margin) if margin else (self._view(rows), slice(None))
-        self._tables[key][rows] = compute(part)[inner]
+        self._tables[key][rows] = self._computed[key](self._view(rows))
 
     def _view(self, rows: slice) -> GroundTruth:
         views: dict[str, Any] = {name: getattr(self, name)[rows] for name in AT_EPOCHS}
@@ -270,13 +261,11 @@ class _Laid(GroundTruth):
         run = self.run[:, first : first + samples]
         return replace(world, epoch_end=world.epoch_end - first, run=run)
 
-    def tabulate(
-        self, key: Any, shape: tuple[int, ...], compute: Compute, margin: int = 0
-    ) -> FloatArray:
+    def tabulate(self, key: Any, shape: tuple[int, ...], compute: Compute) -> FloatArray:
         with _lock:
             if key not in self._tables:
                 self._tables[key] = np.zeros((self.epochs, *shape))
-                self._computed[key] = compute, margin
+                self._computed[key] = compute
                 for w, piece in np.argwhere(self._built).tolist():
                     self._compute(key, w, piece)
         return self._tables[key]
@@ -358,11 +347,9 @@ class Skies(GroundTruth):
     def list_first_elevations(self) -> FloatArray:
         return np.array([each.first_elevation for each in self._facts])
 
-    def tabulate(
-        self, key: Any, shape: tuple[int, ...], compute: Compute, margin: int = 0
-    ) -> FloatArray:
+    def tabulate(self, key: Any, shape: tuple[int, ...], compute: Compute) -> FloatArray:
         self.build(range(self.worlds))
-        return self._laid.tabulate(key, shape, compute, margin)
+        return self._laid.tabulate(key, shape, compute)
 
 
 def _lay(recipe: _Recipe, facts: Sequence[SkyFacts]) -> _Laid:

@@ -18,7 +18,13 @@ from spoofgym.truth.manoeuvres import FLIGHTS, LONG_S, car, en_route, terminal
 from spoofgym.truth.run import build_world
 from spoofgym.truth.satellites import CircularConstellation
 from spoofgym.truth.scenario import Scenario
-from spoofgym.truth.signal_errors import MAPPINGS, causal_mappings, compute_mappings
+from spoofgym.truth.signal_errors import (
+    MAPPINGS,
+    OBLIQUITIES,
+    causal_mappings,
+    compute_mappings,
+    stack_obliquities,
+)
 from spoofgym.truth.skies import look_up
 
 STEP_S = 0.5
@@ -98,31 +104,24 @@ def test_every_world_of_a_chain_is_the_one_built_alone(turned_deg):
 
 
 def test_a_stretch_of_a_world_has_the_bits_of_the_whole():
-    """Within a piece, over its edges and those of the world; tables with neighbours, and late."""
+    """Within a piece, over its edges and those of the world, with neighbours; and late tables."""
     domain = Domain(worlds=2, turns=1, constellation_time_s=(0.0, 86_400.0), world_seed=3)
     scenario = Scenario(flight="approach", imu_rate_hz=20.0)
-    skies = [(t, CircularConstellation(time_offset_s=s)) for t, s in domain.pairs()]
-    whole, stretched = (scenario.chained_world(skies) for _ in range(2))
-
-    def compute(part):
-        return compute_mappings(part.elevation, STEP_S, part.epochs)
-
-    expected = whole.tabulate("mappings", (12, MAPPINGS), compute, margin=1)
+    skies = [(turn, CircularConstellation(time_offset_s=time)) for turn, time in domain.pairs()]
+    whole, some = (scenario.chained_world(skies) for _ in range(2))
+    table = "obliquities", (12, OBLIQUITIES), lambda part: stack_obliquities(part.elevation)
+    expected, found = whole.tabulate(*table), some.at_hand.tabulate(*table)
     each = whole.epochs // 2
-    first = np.array([500, each + 100, each])
-    last = np.array([520, each + 130, 2 * each - 1])
-    for k, (low, high) in enumerate(zip(first, last, strict=True)):
-        if k == 2:
-            late = stretched.at_hand.tabulate("late", (12, MAPPINGS), compute, margin=1)
-        found = stretched.at_hand.tabulate("mappings", (12, MAPPINGS), compute, margin=1)
-        stretched.build_epochs(first[k : k + 1], last[k : k + 1])
-        rows = slice(low, high + 1)
+    for low, high in ((511, 511), (each + 100, each + 1100), (0, 3), (2 * each - 3, 2 * each - 1)):
+        some.build_epochs(np.array([low]), np.array([high]))
+        rows = slice(max(low - 1, 0), high + 2)
         np.testing.assert_array_equal(found[rows], expected[rows])
-        for name in ("satellites", "visible", "position_e", "C_en"):
-            np.testing.assert_array_equal(
-                getattr(stretched.at_hand, name)[rows], getattr(whole, name)[rows], err_msg=name
-            )
-    np.testing.assert_array_equal(late[500:521], expected[500:521])
+        for name in ("satellites", "visible", "position_e", "velocity_e", "C_en"):
+            parts = (getattr(world, name)[rows] for world in (some.at_hand, whole))
+            np.testing.assert_array_equal(*parts, err_msg=name)
+    late = some.at_hand.tabulate("late", *table[1:])
+    np.testing.assert_array_equal(late, found)
+    assert not some.at_hand.satellites[1030:each].any()  # no episode has these
 
 
 def test_a_flight_is_computed_once_and_again_where_its_file_is_damaged(tmp_path, monkeypatch):
@@ -188,7 +187,8 @@ def test_receivers_in_threads_build_the_skies_that_they_draw():
 
 def test_mappings_of_the_past_are_those_of_the_truth_and_begin_again_with_a_satellite():
     world = Scenario(flight="approach").world()
-    true = compute_mappings(world.elevation, 0.5, world.epochs)
+    table = stack_obliquities(world.elevation)
+    true = compute_mappings(table, world.epoch_time, np.arange(world.epochs))
     last, found = np.zeros((1, world.channels, MAPPINGS)), []
     for k in range(world.epochs):
         elevation, _ = world.look(slice(k, k + 1))

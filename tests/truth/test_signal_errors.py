@@ -23,6 +23,7 @@ from spoofgym.truth.signal_errors import (
     correlation,
     obliquities,
     process_coefficients,
+    stack_obliquities,
 )
 
 TIMELINE = {"warmup_s": 5.0, "live_s": 0.0, "attack_s": 5.0, "time_to_alert_s": 0.0}
@@ -127,9 +128,13 @@ def test_obliquities_are_those_of_the_standard_and_end_with_their_world():
     for below, at in zip((ionosphere, troposphere, multipath, noise), at_horizon, strict=True):
         assert below[2] == at[0]
     elevation = np.radians(np.linspace(20.0, 60.0, 10))[:, None] * np.ones(3)
-    one = compute_mappings(elevation, 0.5, 10)
-    two = compute_mappings(np.concatenate([elevation, elevation]), 0.5, 10)
-    np.testing.assert_array_equal(two, np.concatenate([one, one]))
+    table, time = stack_obliquities(np.concatenate([elevation, elevation])), 0.5 * np.arange(10.0)
+    both = compute_mappings(table, np.tile(time, 2), np.arange(20))  # worlds do not mix
+    for values, column, rate in ((table[..., 0], 0, 1), (table[..., 1], 2, 3)):
+        np.testing.assert_array_equal(both[..., column], values)
+        one = np.gradient(values[:10], 0.5, axis=0)
+        np.testing.assert_array_equal(both[..., rate], np.concatenate([one, one]))
+    np.testing.assert_array_equal(both[..., 4:], table[..., 2:])
 
 
 @pytest.mark.parametrize(("name", "e_fold"), [("multipath_sd_m", 10.0), ("noise_sd_m", 6.9)])
