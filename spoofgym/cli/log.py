@@ -262,7 +262,7 @@ def import_log(
         Option(
             "--keep-odd",
             help="Keep satellites whose ranges disagree by over 500 m in the log, for tests of "
-            "ranges alone: its solution may be hundreds of metres off.",
+            "ranges: the filter does not use them.",
         ),
     ] = False,
 ) -> None:

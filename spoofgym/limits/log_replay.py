@@ -68,6 +68,7 @@ class LogReplay(LinearReplay):
         check_number("attack_s", attack_s, above=0.0)
         check_number("time_to_alert_s", time_to_alert_s, least=0.0)
         check_number("rate_limit_mps", rate_limit_mps, above=0.0)
+        check_number("heading_deg", heading_deg)
         self.log, self.interval_s = log, log.interval_s
         self.steps = self.attack_epochs = max(round(attack_s / self.interval_s), 2)
         self.epochs = self.steps + round(time_to_alert_s / self.interval_s)

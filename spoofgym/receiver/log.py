@@ -448,6 +448,8 @@ def _check_signal(name: str, z: FloatArray, follows: NDArray[np.bool_]) -> Signa
 WIDE, NARROW = 30.0, 0.05
 """Mean squares over variances beyond which something is wrong, and below which the receiver
 assumes far more noise than it meets."""
+UNIT = 1e-5  # below which it is rather a unit
+CONSTANT = 3.0  # standard deviations of constant parts that are rather a datum
 PERSISTENT = 0.5  # correlation of successive innovations from which tests with memory suffer
 
 
@@ -456,13 +458,23 @@ def _remark_on(signal: SignalCheck) -> list[str]:
     lines = []
     if nis > WIDE:
         lines.append(
-            f"{name}: {factor:.3g} times its standard deviation: are units, time base and "
-            "satellite clocks right (deg/s for rad/s, leap seconds)?"
+            f"{name}: {factor:.3g} times its standard deviation, where 1 fits: are units, time "
+            "base and satellite clocks right (deg/s for rad/s, leap seconds)?"
         )
     elif nis < NARROW:
         lines.append(
             f"{name}: the receiver assumes {1.0 / max(factor, 1e-9):.3g} times the noise that it "
-            "meets; tests with thresholds of their own see little"
+            "meets, where 1 fits; "
+            + (
+                "are innovations and variances in m and m/s (not km)?"
+                if nis < UNIT
+                else "tests with thresholds of their own see little"
+            )
+        )
+    if signal.constant > CONSTANT:
+        lines.append(
+            f"{name}: constant parts of {signal.constant:.3g} standard deviations, where below 1 "
+            "fits: do datums and heights agree (above sea level, above the ellipsoid)?"
         )
     if signal.lag1 > PERSISTENT:
         lines.append(
