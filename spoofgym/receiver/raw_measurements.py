@@ -26,7 +26,7 @@ from ..core.registry import require
 from ..data.ephemerides import GPS_EPOCH, VALIDITY, Ephemerides, join_ephemerides, propagate_orbits
 from ..data.inertial import InertialSamples, read_inertial
 from ..data.observations import SIGNALS, Observations, is_table, read_observations
-from ..data.rinex import read_ionosphere, read_navigation
+from ..data.rinex import GEOSTATIONARY, read_ionosphere, read_navigation
 from ..earth.wgs84 import (
     EARTH_RATE,
     SPEED_OF_LIGHT,
@@ -177,10 +177,13 @@ class _Measured:
         n = len(o.satellites)
         placed = np.stack([_place_satellite(o, j, ephemerides) for j in range(n)], axis=1)
         found = np.isfinite(placed).any(axis=(0, 2))
-        used, unused = np.flatnonzero(found), np.flatnonzero(~found)
+        read = [x not in GEOSTATIONARY for x in o.satellites]
+        used, unused = np.flatnonzero(found), np.flatnonzero(~found & read)
         if unused.size:
             missing = " ".join(o.satellites[j] for j in unused)
             self.lines.append(f"left out without a healthy record of the orbit: {missing}")
+        if still := " ".join(sorted(GEOSTATIONARY.intersection(o.satellites))):
+            self.lines.append(f"left out as geostationary, whose orbits are not read: {still}")
         self.time, self.segment = o.time, o.segment
         self.satellites = tuple(o.satellites[j] for j in used)
         placed = placed[:, used]
