@@ -177,7 +177,7 @@ class _Measured:
         n = len(o.satellites)
         placed = np.stack([_place_satellite(o, j, ephemerides) for j in range(n)], axis=1)
         found = np.isfinite(placed).any(axis=(0, 2))
-        read = [x not in GEOSTATIONARY for x in o.satellites]
+        read = np.array([x not in GEOSTATIONARY for x in o.satellites])
         used, unused = np.flatnonzero(found), np.flatnonzero(~found & read)
         if unused.size:
             missing = " ".join(o.satellites[j] for j in unused)
