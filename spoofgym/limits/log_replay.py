@@ -123,7 +123,8 @@ class LogReplay(LinearReplay):
             first = end
         starts = np.array(found, dtype=np.intp)
         gaps = np.concatenate([[0], np.cumsum(self.log.steps_s > GAP * self.interval_s)])
-        return starts[gaps[starts + self.epochs] == gaps[starts - live + 1]]
+        whole = gaps[starts + self.epochs] == gaps[starts - live + 1]
+        return np.asarray(starts[whole])
 
     @property
     def known_s(self) -> FloatArray:
