@@ -145,6 +145,16 @@ def bind_to_log(
     return detector, context
 
 
+def check_statistic(label: str, log: InnovationLog, moves: bool) -> None:
+    """Raise where a statistic is always 0 since the log has only one signal of the pair."""
+    absent = [name for name in log.signals if name not in log.present_signals]
+    require(
+        moves or not absent,
+        f"{label} has a statistic of 0 at every epoch: it does not read {log.present_signals[0]}, "
+        f"and the log has no {''.join(absent)}",
+    )
+
+
 def _play(detector: Detector, log: InnovationLog, starts: NDArray[np.bool_]) -> FloatArray:
     """(K,) largest ratio at every epoch; the detector is reset before those of `starts`."""
     ratio = np.zeros(len(log.time))
@@ -220,6 +230,7 @@ def judge_log(
     found = []
     for spec, detector in zip(detectors, bound, strict=True):
         label, ratio = label_spec(spec), _play(detector, log, segments)
+        check_statistic(label, log, bool(ratio.any()))
         apart = _play(detector, log, starts) if count else ratio
         windows = np.array([apart[number == k].max() for k in range(count)])
         factor = 1.0

@@ -33,7 +33,7 @@ File = Annotated[
     Path,
     Argument(
         help="Log: a table (.csv, .parquet) with the columns time_s, channel, signal, innovation, "
-        "variance, or matrices (.npz)."
+        "variance, or matrices (.npz, .mat)."
     ),
 ]
 
@@ -51,15 +51,8 @@ def check_log(log: File, as_json: opt.Json = False) -> None:
     signals = found.check_signals()
     rows = [{**each._asdict(), "noise": noise.get(each.signal)} for each in signals]
     remarks = found.list_remarks()
-    about = {
-        "epochs": len(found.time),
-        "duration_s": round(found.duration_s, 3),
-        "interval_s": round(found.interval_s, 6),
-        "segments": len(set(found.segment.tolist())),
-        "channels": list(found.channels),
-    }
     if as_json:
-        print_json({**about, "signals": rows, "remarks": remarks})
+        print_json({**_count(found), "signals": rows, "remarks": remarks})
         return
     print_lines([_describe_size(found)])
     Table(
@@ -237,8 +230,8 @@ def import_log(
         list[Path],
         Argument(
             help="Log of PX4 (.ulg) or ArduPilot (.bin), a table (.csv, .parquet) or matrices "
-            "(.npz); or raw measurements: observations (RINEX 2 or 3, or a table of RXM-RAWX), "
-            "navigation files (RINEX), and a table of inertial samples."
+            "(.npz, .mat); or raw measurements: observations (RINEX 2 or 3, or a table of "
+            "RXM-RAWX), navigation files (RINEX), and a table of inertial samples."
         ),
     ],
     out: Annotated[Path, Option("--out", "-o", help="File to write, .npz or .csv.")],
@@ -262,16 +255,18 @@ def import_log(
         Option(
             "--keep-odd",
             help="Keep satellites whose ranges disagree by over 500 m in the log, for tests of "
-            "ranges alone: its solution may be hundreds of metres off.",
+            "ranges: the filter does not use them.",
         ),
     ] = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Write a log of an autopilot, or of a filter run over raw measurements, as one of innovations;
     or such a log in the other form."""
     from ..receiver.autopilots import read_dataflash, read_ulog
-    from ..receiver.log import InnovationLog
+    from ..receiver.log import InnovationLog, check_written
     from ..receiver.raw_measurements import read_raw_log
 
+    check_written(out)
     raw = len(files) > 1 or mapping is not None or static
     require(
         (raw or (noise_factors == (1.0, 1.0) and not keep_odd))
@@ -285,14 +280,30 @@ def import_log(
     else:
         readers = {".ulg": read_ulog, ".bin": read_dataflash}
         found = readers.get(files[0].suffix.lower(), InnovationLog.load)(files[0])
+    if as_json:
+        signals = [each._asdict() for each in found.check_signals()]
+        written = str(found.save(out))
+        print_json({**_count(found), "about": found.about, "signals": signals, "written": written})
+        return
     print_lines(_describe_import(found))
     print_written([found.save(out)])
 
 
+def _count(log: InnovationLog) -> dict[str, Any]:
+    return {
+        "epochs": len(log.time),
+        "duration_s": round(log.duration_s, 3),
+        "interval_s": round(log.interval_s, 6),
+        "segments": len(set(log.segment.tolist())),
+        "channels": list(log.channels),
+    }
+
+
 def _describe_size(log: InnovationLog) -> str:
+    size = _count(log)
     return (
-        f"{len(log.time)} epochs in {len(set(log.segment.tolist()))} segments, "
-        f"{log.duration_s:.6g} s, one every {log.interval_s:.6g} s, of {len(log.channels)} channels"
+        f"{size['epochs']} epochs in {size['segments']} segments, {log.duration_s:.6g} s, one "
+        f"every {log.interval_s:.6g} s, of {len(log.channels)} channels"
     )
 
 

@@ -16,12 +16,13 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from numpy.lib import format as npy
 from numpy.typing import NDArray
+
+from .extras import name_extra
 
 if TYPE_CHECKING:
     import pandas
@@ -188,21 +189,25 @@ def check_table(rows: int, columns: int) -> None:
 def read_table(path: Path, columns: Sequence[str] = (), *, header: bool = True) -> pandas.DataFrame:
     """Table of a CSV or Parquet file; of Parquet the named columns alone, where there are any.
     Without a `header` the columns have the names 1, 2, 3."""
-    if find_spec("pandas") is None:
-        raise ImportError("reading a table needs pandas and pyarrow: pip install spoofgym[flights]")
-    import pandas
+    packed = ".parquet" in path.suffixes
+    try:
+        import pandas
 
-    if ".parquet" not in path.suffixes:
+        if packed:
+            from pyarrow.parquet import ParquetFile
+    except ImportError as error:
+        raise name_extra("a table", error, "flights") from error
+    if not packed:
         content = read_lines(path)
         width = content.split(b"\n", 1)[0].count(b",") + 1
         check_table(content.count(b"\n") + 1, width)
         return pandas.read_csv(
             io.BytesIO(content),
             encoding="utf-8-sig",
+            skipinitialspace=True,
+            na_values=["nan(ind)", "-nan(ind)"],  # of Microsoft's C library
             **({} if header else {"header": None, "names": range(1, width + 1)}),
         )
-    from pyarrow.parquet import ParquetFile
-
     file = ParquetFile(io.BytesIO(read_file(path)))
     found = [name for name in columns or file.schema.names if name in file.schema.names]
     check_table(file.metadata.num_rows, len(found))

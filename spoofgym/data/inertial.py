@@ -33,6 +33,7 @@ TIME_SCALES = {
     "unix-gps": "those counted without leap seconds, in GPS time",
 }
 UNIX = datetime(1970, 1, 1)
+LONGEST_ARM_M = 100.0
 
 
 class InertialSamples(NamedTuple):
@@ -104,7 +105,10 @@ def _read_mapping(path: Path) -> dict[str, Any]:
             check_choice("key", name, [*FORMS, "header", "lever_arm_m"])
         require(isinstance(keys.get("header", True), bool), "`header` must be true or false")
         lever = keys.get("lever_arm_m", [0.0] * 3)
-        require(_is_list(lever, 3, (int, float)), f"`lever_arm_m` must be 3 numbers, got {lever}")
+        good = _is_list(lever, 3, (int, float)) and all(abs(x) <= LONGEST_ARM_M for x in lever)
+        require(
+            good, f"`lever_arm_m` must be 3 numbers of at most {LONGEST_ARM_M:g} m, got {lever}"
+        )
         for name, form in FORMS.items():
             part = keys.get(name, {})
             good = isinstance(part, dict) and set(part) == set(form)

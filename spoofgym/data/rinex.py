@@ -17,6 +17,7 @@ import os
 import warnings
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import NamedTuple
@@ -152,6 +153,23 @@ def read_navigation(path: str | os.PathLike[str], systems: str = "G") -> Ephemer
         )
     columns = {name: np.array([record[name] for record in records]) for name in records[0]}
     return Ephemerides(satellite_id=np.array(satellites), **columns)
+
+
+def read_ionosphere(path: str | os.PathLike[str]) -> tuple[float, ...] | None:
+    """Coefficients alpha 0 to 3 and beta 0 to 3 of GPS's model of the ionosphere in the header of a
+    navigation file of version 2 or 3; None where it has not all of them."""
+    found: dict[str, list[float]] = {}
+    for line in read_text(Path(path)):
+        if (label := line[60:].strip()) == "END OF HEADER":
+            break
+        for which, old, new in (("alpha", "ION ALPHA", "GPSA"), ("beta", "ION BETA", "GPSB")):
+            first = 2 if label == old else 5
+            if label == old or (label == "IONOSPHERIC CORR" and line.startswith(new)):
+                fields = (line[first + 12 * k : first + 12 * k + 12] for k in range(4))
+                with suppress(ValueError):
+                    found[which] = [float(x.upper().replace("D", "E")) for x in fields]
+    values = found.get("alpha", []) + found.get("beta", [])
+    return tuple(values) if len(values) == 8 and np.isfinite(values).all() else None
 
 
 def read_text(path: Path) -> list[str]:

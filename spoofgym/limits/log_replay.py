@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..calibration.log import bind_to_log, label_spec
+from ..calibration.log import bind_to_log, check_statistic, label_spec
 from ..core.declared import check_number
 from ..core.registry import require
 from ..detectors.base import FloatArray, check_needs, judge_epoch
@@ -35,6 +35,7 @@ from .response import HATS, LinearReplay, check_replayable, shorten
 
 FEWEST_WINDOWS = 8
 """From which on attacks are played: with fewer, half of them are too few to choose on."""
+GAP = 1.9  # intervals from one epoch to the next, by which one is missing
 BOUND_WINDOWS = 4  # over which a zero-alarm bound is taken
 RATE_LIMIT_MPS = 5.0
 
@@ -68,6 +69,7 @@ class LogReplay(LinearReplay):
         check_number("attack_s", attack_s, above=0.0)
         check_number("time_to_alert_s", time_to_alert_s, least=0.0)
         check_number("rate_limit_mps", rate_limit_mps, above=0.0)
+        check_number("heading_deg", heading_deg)
         self.log, self.interval_s = log, log.interval_s
         self.steps = self.attack_epochs = max(round(attack_s / self.interval_s), 2)
         self.epochs = self.steps + round(time_to_alert_s / self.interval_s)
@@ -89,14 +91,16 @@ class LogReplay(LinearReplay):
         self.heading = np.full(self.runs, math.radians(heading_deg))
         judge, self._context = bind_to_log(detector, log, self.runs, factor)
         alarmed = np.zeros(self.runs, dtype=np.bool_)
-        self.threshold, spent = np.ones(self.runs), 0.0
+        self.threshold, spent, moves = np.ones(self.runs), 0.0, False
         for k in range(-self.live, 0):
             epoch = log.gather_epoch(self.starts + k)
             now = time.process_time()
             verdict = self.judge(judge, epoch)
             spent += time.process_time() - now
             alarmed |= verdict.alarm.any(axis=1)
+            moves |= bool(verdict.statistic.any())
             self.threshold = verdict.threshold.mean(axis=1)
+        check_statistic(label, log, moves)
         self.cost_us = 1e6 * spent / (self.live * self.runs)
         self.detectors, self.warmup_alarm = [judge], alarmed[None]
         stored: dict[str, list[NDArray[Any]]] = {name: [] for name in ALWAYS | self.needs}
@@ -117,8 +121,9 @@ class LogReplay(LinearReplay):
             found += list(range(first + live, end - self.epochs + 1, self.epochs))
             first = end
         starts = np.array(found, dtype=np.intp)
-        span = self.log.time[starts + self.epochs - 1] - self.log.time[starts - live]
-        return starts[span < (self.epochs + live) * self.interval_s]
+        gaps = np.concatenate([[0], np.cumsum(self.log.steps_s > GAP * self.interval_s)])
+        whole = gaps[starts + self.epochs] == gaps[starts - live + 1]
+        return np.asarray(starts[whole])
 
     @property
     def known_s(self) -> FloatArray:

@@ -12,6 +12,7 @@ come in pairs, a length and its rate: ``pseudorange`` and ``range_rate``, ``posi
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import zipfile
@@ -24,8 +25,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.extras import name_extra
 from ..core.files import whole_file
-from ..core.reading import Archive, parse_array, parse_json, read_table
+from ..core.reading import Archive, parse_array, parse_json, read_file, read_table
 from ..core.registry import check_choice, require
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from .epoch import FILTER, OPTIONAL, Epoch
@@ -61,6 +63,7 @@ PLACED = frozenset({"transition", "imu_delta", "gnss_position", *RANGES})
 STATES = "position", "velocity"  # names of what says which states are the position's error, ...
 AXES = "east", "north", "up"  # channels of a loosely coupled receiver
 EAST_NORTH_UP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # from N, E, D
+SECONDS_PER_WEEK = 604800.0
 FIRST_ORDER = "first order"
 """What `about` has for ``transition`` where a filter propagates so, but its errors do not."""
 MOST_CHANNELS = 128
@@ -268,6 +271,11 @@ class InnovationLog:
     def list_remarks(self) -> list[str]:
         """What is unusual about the innovations; a line each."""
         lines = [line for each in self.check_signals() for line in _remark_on(each)]
+        if not SHORTEST_STEP_S <= self.interval_s <= LONGEST_STEP_S:
+            lines.append(
+                f"an epoch every {self.interval_s:g} s, where {SHORTEST_STEP_S:g} to "
+                f"{LONGEST_STEP_S:g} s are usual: are times in s?"
+            )
         off = self.innovation_cov * (1.0 - np.eye(self.innovation.shape[1]))
         rate = PAIRS[0][1]
         if rate in self.present_signals and not off.any():
@@ -279,18 +287,16 @@ class InnovationLog:
 
     @classmethod
     def load(cls, path: str | Path) -> InnovationLog:
-        """Log of a file: a table as .csv or .parquet, or matrices as .npz."""
+        """Log of a file: a table as .csv or .parquet, or matrices as .npz or MATLAB's .mat."""
         path = Path(path)
         kind = path.suffix.lower()
-        check_choice("ending of a log", kind, (".csv", ".parquet", ".npz"))
+        check_choice("ending of a log", kind, (".csv", ".parquet", ".npz", ".mat"))
         if not path.is_file():
             raise FileNotFoundError(f"there is no file {path}")
         try:
-            return (
-                _read_matrices(path)
-                if kind == ".npz"
-                else cls.from_table(read_table(path, (*COLUMNS, "segment")))
-            )
+            if kind in (".npz", ".mat"):
+                return _build_log((_read_npz if kind == ".npz" else _read_mat)(path))
+            return cls.from_table(read_table(path, (*COLUMNS, "segment")))
         except (ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
             raise ValueError(f"{path}: {error}") from error
 
@@ -299,6 +305,7 @@ class InnovationLog:
         cls, table: pandas.DataFrame, about: Mapping[str, Any] | None = None
     ) -> InnovationLog:
         """Log of a table with `COLUMNS`, a row for each innovation; S is diagonal."""
+        table = table.rename(columns=lambda name: str(name).strip())
         missing = [name for name in COLUMNS if name not in table]
         require(
             not missing,
@@ -313,7 +320,10 @@ class InnovationLog:
                 f"{', '.join(sorted(names))}"
             )
         segment = table["segment"] if "segment" in table else np.zeros(len(table), dtype=np.int64)
-        keys = np.stack([np.asarray(segment, float), np.asarray(table["time_s"], float)], axis=1)
+        time = np.asarray(table["time_s"], float).copy()
+        for _, rows in table.groupby(["channel", "signal"]).indices.items():
+            time[rows] = unroll_weeks(time[rows])
+        keys = np.stack([np.asarray(segment, float), time], axis=1)
         epochs, epoch = np.unique(keys, axis=0, return_inverse=True)
         epoch = epoch.ravel()
         channels = tuple(sorted({str(name) for name in table["channel"]}))
@@ -381,8 +391,7 @@ class InnovationLog:
 
     def save(self, path: str | Path) -> Path:
         """Write matrices (.npz), or a table (.csv), which loses what is off S's diagonal."""
-        path = Path(path)
-        check_choice("ending of a log", path.suffix.lower(), (".npz", ".csv"))
+        path = check_written(path)
         with whole_file(path) as part, part.open("wb") as file:
             if path.suffix.lower() == ".csv":
                 file.write(self._table().to_csv(index=False).encode())
@@ -398,8 +407,10 @@ class InnovationLog:
         return path
 
     def _table(self) -> pandas.DataFrame:
-        import pandas
-
+        try:
+            import pandas
+        except ImportError as error:
+            raise name_extra("a table", error, "flights") from error
         epoch, row = np.nonzero(np.isfinite(self.innovation))
         n = len(self.channels)
         return pandas.DataFrame(
@@ -448,21 +459,34 @@ def _check_signal(name: str, z: FloatArray, follows: NDArray[np.bool_]) -> Signa
 WIDE, NARROW = 30.0, 0.05
 """Mean squares over variances beyond which something is wrong, and below which the receiver
 assumes far more noise than it meets."""
+SHORTEST_STEP_S, LONGEST_STEP_S = 1e-3, 60.0  # from one epoch to the next
+UNIT = 1e-5  # below which it is rather a unit
+CONSTANT = 3.0  # standard deviations of constant parts that are most of all, and rather a datum
 PERSISTENT = 0.5  # correlation of successive innovations from which tests with memory suffer
 
 
 def _remark_on(signal: SignalCheck) -> list[str]:
     name, nis, factor = signal.signal, signal.nis, signal.sd_factor
     lines = []
-    if nis > WIDE:
+    if signal.constant > max(CONSTANT, 0.7 * factor):
         lines.append(
-            f"{name}: {factor:.3g} times its standard deviation: are units, time base and "
-            "satellite clocks right (deg/s for rad/s, leap seconds)?"
+            f"{name}: constant parts of {signal.constant:.3g} standard deviations, where below 1 "
+            "fits: do datums and heights agree (above sea level, above the ellipsoid)?"
+        )
+    elif nis > WIDE:
+        lines.append(
+            f"{name}: {factor:.3g} times its standard deviation, where 1 fits: are units, time "
+            "base and satellite clocks right (deg/s for rad/s, leap seconds)?"
         )
     elif nis < NARROW:
         lines.append(
             f"{name}: the receiver assumes {1.0 / max(factor, 1e-9):.3g} times the noise that it "
-            "meets; tests with thresholds of their own see little"
+            "meets, where 1 fits; "
+            + (
+                "are innovations and variances in m and m/s (not km)?"
+                if nis < UNIT
+                else "tests with thresholds of their own see little"
+            )
         )
     if signal.lag1 > PERSISTENT:
         lines.append(
@@ -494,11 +518,52 @@ def _check_pair(signals: tuple[str, ...]) -> None:
     )
 
 
-def _read_matrices(path: Path) -> InnovationLog:
+def unroll_weeks(time: FloatArray) -> FloatArray:
+    """Times that go on where seconds of a GPS week begin again [s]."""
+    weeks = np.cumsum(np.diff(time, prepend=time[:1]) < -0.99 * SECONDS_PER_WEEK)
+    return np.asarray(time + SECONDS_PER_WEEK * weeks)
+
+
+WANTED = (*MATRICES, *MORE, *STATES, "segment", "about")
+
+
+def _read_npz(path: Path) -> dict[str, NDArray[Any]]:
     with Archive(path) as archive:
         members = {name.removesuffix(".npy"): name for name in archive.namelist()}
-        wanted = (*MATRICES, *MORE, *STATES, "segment", "about")
-        found = {x: parse_array(archive.read(members[x])) for x in wanted if x in members}
+        return {x: parse_array(archive.read(members[x])) for x in WANTED if x in members}
+
+
+def _read_mat(path: Path) -> dict[str, NDArray[Any]]:
+    """Arrays that MATLAB wrote up to version 7: vectors have two axes, texts are cells or rows of
+    letters, and epochs may be the last axis."""
+    from scipy.io import loadmat, whosmat
+
+    content = read_file(path)
+    try:
+        sizes = {name: math.prod(shape) for name, shape, _ in whosmat(io.BytesIO(content))}
+        require(sum(sizes.values()) <= MOST_ELEMENTS, "its arrays are too large")
+        found = loadmat(io.BytesIO(content), variable_names=WANTED)
+    except NotImplementedError as error:
+        raise ValueError("it is of version 7.3: save it with '-v7'") from error
+    except Exception as error:  # of any kind, as damage has it
+        raise ValueError(f"scipy can't read it: {error}") from error
+    arrays = {name: found[name] for name in WANTED if name in found}
+    for name in ("channels", "signals"):
+        texts = np.ravel(arrays.get(name, []))
+        arrays[name] = np.array(["".join(map(str, np.ravel(x))).strip() for x in texts])
+    for name in ("time", "segment", *STATES, "about"):
+        if name in arrays:
+            arrays[name] = arrays[name].ravel()
+    if "about" in arrays:
+        arrays["about"] = np.array("".join(map(str, arrays["about"])))
+    count = arrays["time"].size if "time" in arrays else 0
+    for name, array in arrays.items():
+        if array.ndim == 3 and array.shape[0] != count == array.shape[2]:
+            arrays[name] = np.moveaxis(array, 2, 0)
+    return {name: array for name, array in arrays.items() if array.size}
+
+
+def _build_log(found: Mapping[str, NDArray[Any]]) -> InnovationLog:
     missing = [name for name in MATRICES if name not in found]
     require(not missing, f"missing arrays: {', '.join(missing)}; needed: {', '.join(MATRICES)}")
     channels = tuple(map(str, np.atleast_1d(found["channels"])))
@@ -510,7 +575,7 @@ def _read_matrices(path: Path) -> InnovationLog:
         for name in (*MATRICES[:3], *MORE)
         if name in found
     }
-    time = numbers.pop("time")
+    time = unroll_weeks(numbers.pop("time"))
     segment = found["segment"] if "segment" in found else np.zeros(time.shape)
     return InnovationLog(
         time=time,
@@ -526,6 +591,12 @@ def _read_matrices(path: Path) -> InnovationLog:
             for name in {*STATES} & found.keys()
         },
     )
+
+
+def check_written(path: str | Path) -> Path:
+    """Path whose ending says that a log can be written there."""
+    check_choice("ending of a log to write", Path(path).suffix.lower(), (".npz", ".csv"))
+    return Path(path)
 
 
 def missing_fields(log: InnovationLog, needs: frozenset[str]) -> list[str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,8 @@ RECEIVER_RADII = 6.3e6, 5e7  # distances from the Earth's centre [m]
 SATELLITE_RADII = 6.5e6, 1e8
 OPAQUE_RADIUS = 6.33e6  # a signal passes no nearer to the Earth's centre, refraction included [m]
 FASTEST = 12_000.0  # of any receiver or satellite [m/s]
-LARGEST_FORCE = 1e6  # that any sensor survives [m/s^2]
+LARGEST_FORCE, LARGEST_MEDIAN = 1e6, 1e3  # that any sensor survives, or feels for long [m/s^2]
+FREE_FALL_RADIUS = 6.478e6  # from the Earth's centre, below which nothing falls freely at first [m]
 RANGE_SPREAD, SPREAD_RATE = 1e6, 8_000.0  # of what geometry leaves of ranges [m], its growth [m/s]
 SMALLEST_SD = 1e-4  # of a range [m] or a range rate [m/s], below those of carrier phases
 CLOCK_STEP = 1e-3 * SPEED_OF_LIGHT  # that receivers put their clocks right by [m]
@@ -47,6 +49,7 @@ TRIED_EPOCHS = 600
 
 LONGEST_STEP_S, FAST, FEW_PAIRS, MOVED_OFTEN = 2.0, 3.0, 5, 0.7
 """Of epochs and velocities [m/s] with which positions are compared, and how far they may differ."""
+LIKELY, MOVED_BADLY = 0.5, 0.2  # of a cause by which they differ less, and how far they may then
 
 
 class ImplausibleWarning(UserWarning):
@@ -80,12 +83,9 @@ def check_places(recording: PositionRecording) -> None:
     """Raise where positions are not near the Earth, or velocities too large."""
     position, velocity = (np.asarray(getattr(recording, name)) for name in SOLVED)
     radius, speed = np.linalg.norm(position, axis=1), np.linalg.norm(velocity, axis=1)
-    for k in np.flatnonzero((radius < RECEIVER_RADII[0]) | (radius > RECEIVER_RADII[1]))[:1]:
-        raise ValueError(
-            f"`position_e` must be ECEF in m, {RECEIVER_RADII[0]:g} to {RECEIVER_RADII[1]:g} from "
-            f"the Earth's centre, got {position[k].tolist()} at {_time(recording, k)} (is it "
-            "latitude, longitude and height, or the mark of an absent one, which is NaN here?)"
-        )
+    for k, here in enumerate(position):
+        if np.isfinite(radius[k]):
+            _check_place("position_e", here, f" at {_time(recording, k)}")
     fixed = np.flatnonzero(np.isfinite(radius))
     time = np.asarray(recording.gnss_time)[fixed]
     moved = np.linalg.norm(np.diff(position[fixed], axis=0), axis=1) / np.diff(time)
@@ -118,18 +118,19 @@ def _check_motion(recording: PositionRecording, initial: NavState) -> None:
         return float(np.median(off) / np.median(np.linalg.norm(mean[fast], axis=1)))
 
     axes = _local_axes(initial)
-    if (found := misfit(lambda v: v)) > MOVED_OFTEN:
-        causes: dict[str, Callable[[Floats], Floats]] = {
-            "are its axes north, east and down": lambda v: v @ axes.T,
-            "are its axes east, north and up": lambda v: v[:, [1, 0, 2]] * [1, 1, -1] @ axes.T,
-            "is it in km/h": lambda v: v / 3.6,
-            "is it in knots": lambda v: v * 1852.0 / 3600.0,
-        }
-        cause = min(causes, key=lambda x: misfit(causes[x]))
-        cause = cause if misfit(causes[cause]) < 0.3 * found else "do they belong together"
+    causes: dict[str, Callable[[Floats], Floats]] = {
+        "are its axes north, east and down": lambda v: v @ axes.T,
+        "are its axes east, north and up": lambda v: v[:, [1, 0, 2]] * [1, 1, -1] @ axes.T,
+        "is it in km/h": lambda v: v / 3.6,
+        "is it in knots": lambda v: v * 1852.0 / 3600.0,
+    }
+    found, cause = misfit(lambda v: v), min(causes, key=lambda x: misfit(causes[x]))
+    likely = misfit(causes[cause]) < LIKELY * found
+    if found > (MOVED_BADLY if likely else MOVED_OFTEN):
         raise ValueError(
             "`velocity_e` must be in ECEF axes and m/s, but positions move otherwise, by "
-            f"{100.0 * found:.0f} % of it in the median ({cause}?)"
+            f"{100.0 * found:.0f} % of it in the median "
+            f"({cause if likely else 'do they belong together'}?)"
         )
 
 
@@ -137,16 +138,28 @@ def _time(recording: AnyRecording, epoch: int) -> str:
     return f"{np.asarray(recording.gnss_time)[epoch]:g} s"
 
 
+def _check_place(name: str, position: Floats, when: str = "") -> None:
+    """A receiver is on the Earth, or above it."""
+    radius = float(np.linalg.norm(position))
+    if RECEIVER_RADII[0] <= radius <= RECEIVER_RADII[1]:
+        return
+    cause = "is it the mark of an absent one, which is NaN here"
+    if radius > RECEIVER_RADII[1]:
+        cause = "which unit has it"
+    elif RECEIVER_RADII[0] <= 1e3 * radius <= RECEIVER_RADII[1]:
+        cause = "is it in km"
+    elif position.any():
+        cause = "is it latitude, longitude and height"
+    raise ValueError(
+        f"`{name}` must be ECEF in m, {RECEIVER_RADII[0]:g} to {RECEIVER_RADII[1]:g} from the "
+        f"Earth's centre, got {position.tolist()}{when} ({cause}?)"
+    )
+
+
 def _check_start(initial: NavState) -> None:
     position, C = np.asarray(initial.position_e), np.asarray(initial.C_eb)
-    radius, speed = float(np.linalg.norm(position)), float(np.linalg.norm(initial.velocity_e))
-    if not RECEIVER_RADII[0] <= radius <= RECEIVER_RADII[1]:
-        degrees = abs(position[0]) <= 90.0 and abs(position[1]) <= 360.0
-        cause = "is it latitude, longitude and height" if degrees else "is it in km"
-        raise ValueError(
-            f"`initial.position_e` must be ECEF in m, {RECEIVER_RADII[0]:g} to "
-            f"{RECEIVER_RADII[1]:g} from the Earth's centre, got {position.tolist()} ({cause}?)"
-        )
+    speed = float(np.linalg.norm(initial.velocity_e))
+    _check_place("initial.position_e", position)
     require(
         speed <= FASTEST,
         f"`initial.velocity_e` must be at most {FASTEST:g} m/s, got {speed:g} (which unit has it?)",
@@ -173,6 +186,12 @@ def _check_force(recording: AnyRecording, initial: NavState) -> None:
     )
     early = np.asarray(recording.imu_time) <= 1.0
     first, C = force[early].mean(axis=0), np.asarray(initial.C_eb)
+    low, least = np.linalg.norm(initial.position_e) < FREE_FALL_RADIUS, np.linalg.norm(first)
+    require(
+        size < LARGEST_MEDIAN and not (low and least < 0.05 * STANDARD_GRAVITY),
+        f"`specific_force_b` must be in m/s^2, 9.8 upwards at rest, got {least:.3g} in the first "
+        f"second and a median of {size:.3g} (is it in mg, or was it turned into m/s^2 twice?)",
+    )
     up = np.asarray(initial.position_e) / np.linalg.norm(initial.position_e)
 
     def upward(C: Floats) -> float:
@@ -356,6 +375,18 @@ MISTAKES: dict[str, Callable[[Any, NavState], Changes]] = {
         {"angular_rate_b": DEGREE * np.asarray(x.angular_rate_b)},
         {},
     ),
+    "`angular_rate_b` was turned into rad/s twice": lambda x, _: (
+        {"angular_rate_b": np.asarray(x.angular_rate_b) / DEGREE},
+        {},
+    ),
+    "`angular_rate_b` has the opposite sign": lambda x, _: (
+        {"angular_rate_b": -np.asarray(x.angular_rate_b)},
+        {},
+    ),
+    "`specific_force_b` has the sign of gravity": lambda x, start: (
+        {"specific_force_b": -np.asarray(x.specific_force_b)},
+        {"C_eb": np.asarray(start.C_eb) * [1.0, -1.0, -1.0]},  # it was levelled upside down
+    ),
     "`C_eb` is transposed": lambda _, start: ({}, {"C_eb": np.asarray(start.C_eb).T}),
     "`C_eb` is an attitude to local axes, north, east and down": lambda _, start: (
         {},
@@ -401,12 +432,14 @@ def explain_flags(
     ranges = isinstance(recording, Recording)
     cause = _blame_signal(by_signal[flagged], ranges)
     if first < TRIED_EPOCHS:
-        before = _typical(misfit[: len(np.asarray(head.gnss_time))])
+        before = _typical(misfit[first : len(np.asarray(head.gnss_time))])
         after = {}
         for words, undo in {**MISTAKES, **(OF_SATELLITES if ranges else {})}.items():
             changed, start = undo(head, initial)
-            again = dataclasses.replace(initial, **start)
-            after[words] = _typical(misfit_with(dataclasses.replace(head, **changed), again))
+            with suppress(ValueError):  # no sensor turns so fast
+                other = dataclasses.replace(head, **changed)
+                again = misfit_with(other, dataclasses.replace(initial, **start))
+                after[words] = _typical(again[first:])
         best = min(after, key=lambda words: after[words])
         if after[best] < min(MISFIT, 0.1 * before):
             cause = best
@@ -418,7 +451,7 @@ def explain_flags(
 
 
 def _typical(misfit: Floats) -> float:
-    """Median over all measured epochs; infinity where one is not finite."""
+    """Median over measured epochs; infinity where one is not finite."""
     measured = misfit[~(misfit < 0.0)]
     sound = measured.size and np.isfinite(measured).all()
     return float(np.median(measured)) if sound else np.inf

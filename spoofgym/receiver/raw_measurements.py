@@ -4,7 +4,8 @@ Pseudoranges and range rates lose what is not the receiver's: satellite clocks w
 group delay (IS-GPS-200, 20.3.3.3.3), the troposphere, constant offsets between the clocks of the
 systems, and the receiver's own steps of whole milliseconds.  What is left is replayed in pieces, a
 new one wherever time jumps or samples are missing; each begins with a least-squares fix, levelled,
-and with the heading of its velocity.  The ionosphere stays in.
+and with the heading of its velocity.  The ionosphere stays in where the navigation files have no
+coefficients of GPS's model of it.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from ..core.registry import require
 from ..data.ephemerides import GPS_EPOCH, VALIDITY, Ephemerides, join_ephemerides, propagate_orbits
 from ..data.inertial import InertialSamples, read_inertial
 from ..data.observations import SIGNALS, Observations, is_table, read_observations
-from ..data.rinex import read_navigation
+from ..data.rinex import GEOSTATIONARY, read_ionosphere, read_navigation
 from ..earth.wgs84 import (
     EARTH_RATE,
     SPEED_OF_LIGHT,
@@ -36,7 +37,7 @@ from ..earth.wgs84 import (
 )
 from .epoch import FILTER
 from .log import MOST_ELEMENTS, InnovationLog
-from .plausibility import CLOCK_STEP, ImplausibleWarning
+from .plausibility import CLOCK_STEP, LEAP_SECONDS, ImplausibleWarning
 from .recording import LONGEST_SAMPLE_S, Recording
 from .replay import Solution, replay
 from .start import MOVING_MPS, find_start, fix_epochs
@@ -47,9 +48,12 @@ ODD_M, ODD_RATIO = 500.0, 5.0
 """Residuals of fixes that are no noise, and how much they shrink without an odd satellite."""
 ODD_SD_M = 1e6  # of ranges that stay in a log, not in its filter
 TURN_S, TURN_RAD = 2.0, 0.1  # of what turns are compared over, and how large they must be
+ALIKE = 0.8  # correlation of turns at another time that says that this is the right one
 FEWEST = 20  # epochs of a piece
 LONGEST_GAP_S = 10.0  # between epochs of a piece
 MASK_DEG = 10.0
+AT_REST_MPS = 0.5  # median speed of fixes
+L1_HZ = 1575.42e6
 OSCILLATOR = 3e-6  # drift of a receiver's clock beyond which it is unusual [s/s]
 STATIC_STEP_S = 0.25
 Solutions = list[tuple[float, Solution]]
@@ -80,7 +84,8 @@ def read_raw_log(
     if mapping is not None:
         samples = read_inertial(tables[0], mapping, float(observations.time[0]))
     ephemerides = join_ephemerides([read_navigation(path, "".join(SIGNALS)) for path in orbits])
-    return solve_raw(observations, ephemerides, samples, **settings)[0]
+    model = next(filter(None, map(read_ionosphere, orbits)), None)
+    return solve_raw(observations, ephemerides, samples, ionosphere=model, **settings)[0]
 
 
 def solve_raw(
@@ -91,24 +96,27 @@ def solve_raw(
     grade: str = "consumer",
     noise_factors: tuple[float, float] = (1.0, 1.0),
     keep_odd: bool = False,
+    ionosphere: Sequence[float] | None = None,
 ) -> tuple[InnovationLog, Solutions]:
     """Replay raw measurements, with inertial samples or, where they are None, at rest.
 
     `grade`: of the inertial sensors, see `TightlyCoupled`; `noise_factors` on the standard
     deviations of pseudoranges and range rates, which are those of the receiver itself, or those of
     `NoiseModel` where it says nothing; `keep_odd`: satellites that disagree by over `ODD_M` stay in
-    the log with a noise of `ODD_SD_M` and as many m/s, for tests of ranges alone. Times
-    of the log are those since the first epoch [s]; its `about` has ``lines``: what was found,
+    the log with a noise of `ODD_SD_M` and as many m/s, for tests of ranges alone;
+    `ionosphere`: coefficients of `compute_klobuchar`, without which it is not corrected. Times of
+    the log are those since the first epoch [s]; its `about` has ``lines``: what was found,
     corrected and left out.
     """
     require(min(noise_factors) > 0.0, f"`noise_factors` must be positive, got {noise_factors}")
-    measured, still = _Measured(observations, ephemerides, keep_odd), samples is None
+    measured = _Measured(observations, ephemerides, keep_odd, ionosphere)
+    still = samples is None
     size = len(measured.time) * (2 * len(measured.satellites)) ** 2
     require(size <= MOST_ELEMENTS, f"covariances would have {size:,} elements: cut it into parts")
     if samples is None:
         samples, grade = _rest(measured), "aviation"
     receiver, lines = TightlyCoupled(grade=grade), measured.lines
-    lines += [] if still else _compare_turns(measured, samples)
+    lines += _compare_rest(measured) if still else _compare_turns(measured, samples)
     logs, solutions = list[InnovationLog](), Solutions()
     for number, rows in enumerate(_cut_pieces(measured, samples), 1):
         try:
@@ -125,6 +133,7 @@ def solve_raw(
                     noise_variance=_list_variances(measured.sd[rows], noise_factors),
                     fields=FILTER,
                 )
+            require("not finite" not in solution.flag, solution.remark)
         except ValueError as error:
             lines.append(f"piece {number}, {len(rows)} epochs, is left out: {error}")
             continue
@@ -134,7 +143,7 @@ def solve_raw(
         solutions.append((start, solution))
         log = InnovationLog.from_replay(solution, recording)
         logs.append(replace(log, time=log.time + after, segment=log.segment + number))
-    require(logs, "; ".join(["nothing can be replayed", *lines]))
+    require(logs, "; ".join(["nothing can be replayed", *reversed(lines)]))
     fields = ("time", "segment", "innovation", "innovation_cov")
     joined: dict[str, Any] = {x: np.concatenate([getattr(log, x) for log in logs]) for x in fields}
     joined["more"] = {x: np.concatenate([log.more[x] for log in logs]) for x in logs[0].more}
@@ -151,7 +160,13 @@ class _Measured:
     - `lines` about what was done.
     """
 
-    def __init__(self, o: Observations, ephemerides: Ephemerides, keep_odd: bool = False) -> None:
+    def __init__(
+        self,
+        o: Observations,
+        ephemerides: Ephemerides,
+        keep_odd: bool = False,
+        ionosphere: Sequence[float] | None = None,
+    ) -> None:
         begin = GPS_EPOCH + timedelta(seconds=round(o.time[0]))
         runs = int(o.segment[-1] - o.segment[0]) + 1
         self.lines = [
@@ -162,10 +177,13 @@ class _Measured:
         n = len(o.satellites)
         placed = np.stack([_place_satellite(o, j, ephemerides) for j in range(n)], axis=1)
         found = np.isfinite(placed).any(axis=(0, 2))
-        used, unused = np.flatnonzero(found), np.flatnonzero(~found)
+        read = np.array([x not in GEOSTATIONARY for x in o.satellites])
+        used, unused = np.flatnonzero(found), np.flatnonzero(~found & read)
         if unused.size:
             missing = " ".join(o.satellites[j] for j in unused)
             self.lines.append(f"left out without a healthy record of the orbit: {missing}")
+        if still := " ".join(sorted(GEOSTATIONARY.intersection(o.satellites))):
+            self.lines.append(f"left out as geostationary, whose orbits are not read: {still}")
         self.time, self.segment = o.time, o.segment
         self.satellites = tuple(o.satellites[j] for j in used)
         placed = placed[:, used]
@@ -175,20 +193,24 @@ class _Measured:
         self.sd = o.sd[:, [*used, *(n + used)]]
         self._remove_clock_steps()
         odd = self._remove_odd()
-        self._remove_troposphere()
+        self._remove_atmosphere(ionosphere, np.array([o.signals[j].frequency for j in used]))
         self._remove_system_offsets()
         self.fixes = self._fix_epochs()
-        require(np.isfinite(self.fixes).any(), "; ".join([*self.lines, "no epoch has a fix"]))
-        for j, ranges in odd.items() if keep_odd else ():
-            self.pseudorange[:, j], self.sd[:, [j, len(used) + j]] = ranges, ODD_SD_M
+        require(
+            np.isfinite(self.fixes).any(), "; ".join(["no epoch has a fix", *reversed(self.lines)])
+        )
         drift = float(np.nanmedian(self.fixes[:, 7]))
         unusual = abs(drift) > OSCILLATOR * SPEED_OF_LIGHT
         self.lines += [
             f"fixes of {np.isfinite(self.fixes[:, 0]).sum()} epochs, median residual "
-            f"{self._spread(self.fixes):.3g} m; the ionosphere is not corrected",
+            f"{self._spread(self.fixes):.3g} m; the ionosphere is "
+            + ("not corrected" if ionosphere is None else "that of GPS's broadcast model"),
             f"the receiver's clock drifts by {drift:.6g} m/s, {1e6 * drift / SPEED_OF_LIGHT:.3g} "
             f"ppm{': more than that of a receiver, is it a transmitter?' * unusual}",
         ]
+        fixed = np.isfinite(self.fixes[:, 0])
+        for j, ranges in odd.items() if keep_odd else ():  # the filter has no more epochs by it
+            self.pseudorange[fixed, j], self.sd[:, [j, len(used) + j]] = ranges[fixed], ODD_SD_M
 
     def _remove_clock_steps(self) -> None:
         """Ranges without the steps of whole milliseconds by which a receiver puts its clock right:
@@ -240,9 +262,10 @@ class _Measured:
             )
             odd[j] = self.pseudorange[:, j].copy()
             self.pseudorange[:, j] = np.nan
-        apart = (np.abs(self._list_residuals(self.fixes)[0]) > ODD_M).any(axis=1)
-        apart |= ~np.isfinite(self.fixes[:, 0])
-        require(not apart.all(), "; ".join([*self.lines, "no epoch has a fix"]))
+        few = np.isfinite(self.pseudorange).sum(axis=1) < 5
+        apart = self._disagree(self.fixes) | ~np.isfinite(self.fixes[:, 0])
+        apart |= few & self._disagree(self._carry_fixes(~(few | apart)))
+        require(not apart.all(), "; ".join(["no epoch has a fix", *reversed(self.lines)]))
         if apart.any():
             self.pseudorange[apart] = self.fixes[apart] = np.nan
             self.lines.append(
@@ -251,12 +274,34 @@ class _Measured:
             )
         return odd
 
-    def _remove_troposphere(self) -> None:
-        """Ranges without the delay of a standard atmosphere, and without low satellites."""
+    def _disagree(self, fixes: Floats) -> NDArray[np.bool_]:
+        """(K,) epochs with a range that is off its fix by over `ODD_M`."""
+        return np.asarray((np.abs(self._list_residuals(fixes)[0]) > ODD_M).any(axis=1))
+
+    def _carry_fixes(self, good: NDArray[np.bool_]) -> Floats:
+        """Fix of the nearest `good` epoch, moved by its rates: four ranges always agree with their
+        own. Their own where none is near."""
+        rows, near = np.flatnonzero(good), np.arange(len(good))
+        if rows.size:
+            near = rows[np.searchsorted(0.5 * (rows[1:] + rows[:-1]), near)]
+        away = self.time - self.time[near]
+        near = np.where(np.abs(away) <= LONGEST_GAP_S, near, np.arange(len(good)))
+        moved = self.fixes[near] + 0.0
+        rates = moved[:, [3, 4, 5, 7]] * (self.time - self.time[near])[:, None]
+        moved[:, [0, 1, 2, 6]] += rates
+        return moved
+
+    def _remove_atmosphere(self, ionosphere: Sequence[float] | None, frequency: Floats) -> None:
+        """Ranges without the delays of a standard atmosphere and of the broadcast ionosphere, and
+        without low satellites."""
         latitude, longitude, height = ecef_to_geodetic(self.fixes[:, :3])
         C_en = dcm_e_from_n(latitude, longitude)
-        elevation, _ = look_angles(self.position, self.fixes[:, :3], C_en)
-        self.pseudorange -= compute_saastamoinen(elevation, latitude[:, None], height[:, None])
+        looks = elevation, _ = look_angles(self.position, self.fixes[:, :3], C_en)
+        place = latitude[:, None], longitude[:, None]
+        self.pseudorange -= compute_saastamoinen(elevation, place[0], height[:, None])
+        if ionosphere is not None:
+            delay = compute_klobuchar(ionosphere, self.time[:, None], *place, *looks)
+            self.pseudorange -= delay * (L1_HZ / frequency) ** 2
         low = np.isfinite(self.pseudorange) & (elevation < np.radians(MASK_DEG))
         self.pseudorange[low] = np.nan
         if low.any():
@@ -324,6 +369,37 @@ def compute_saastamoinen(elevation: Floats, latitude: Floats, height: Floats) ->
     return np.asarray((dry + wet) / np.sin(np.maximum(elevation, np.radians(1.0))))
 
 
+def compute_klobuchar(
+    coefficients: Sequence[float],
+    time: Floats,
+    latitude: Floats,
+    longitude: Floats,
+    elevation: Floats,
+    azimuth: Floats,
+) -> Floats:
+    r"""Delay at L1 by the ionosphere that GPS broadcasts [m].
+
+    .. math:: c F \left(5\,\text{ns} + A \left(1 - \frac{x^2}{2} + \frac{x^4}{24}\right)\right),
+        \quad x = 2 \pi (t - 50400\,\text{s}) / P
+
+    with the second term by day alone, where :math:`|x| < 1.57`; the amplitude A and the period P
+    are polynomials of the geomagnetic latitude with the `coefficients` (8,), t is the local time
+    where the signal passes, F the obliquity. `time` in GPS seconds, angles [rad]. IS-GPS-200,
+    20.3.3.5.2.5.
+    """
+    phi, lam, E = (np.asarray(x) / np.pi for x in (latitude, longitude, elevation))
+    psi = 0.0137 / (E + 0.11) - 0.022
+    phi = np.clip(phi + psi * np.cos(azimuth), -0.416, 0.416)
+    lam = lam + psi * np.sin(azimuth) / np.cos(np.pi * phi)
+    magnetic = phi + 0.064 * np.cos(np.pi * (lam - 1.617))
+    amplitude = np.maximum(np.polyval(coefficients[3::-1], magnetic), 0.0)
+    period = np.maximum(np.polyval(coefficients[:3:-1], magnetic), 72_000.0)
+    x = 2.0 * np.pi * ((43_200.0 * lam + time) % 86_400.0 - 50_400.0) / period
+    day = np.where(np.abs(x) < 1.57, amplitude * (1.0 - x**2 / 2.0 + x**4 / 24.0), 0.0)
+    obliquity = 1.0 + 16.0 * (0.53 - E) ** 3
+    return np.asarray(SPEED_OF_LIGHT * obliquity * (5e-9 + day))
+
+
 def _rest(measured: _Measured) -> InertialSamples:
     """Samples of a perfect sensor at rest, its axes north, east and down."""
     steps = np.arange(measured.time.min() - 1.0, measured.time.max() + 1.0, STATIC_STEP_S)
@@ -355,6 +431,15 @@ def _cut_pieces(measured: _Measured, samples: InertialSamples) -> list[NDArray[n
     return np.split(rows, np.flatnonzero(apart) + 1)
 
 
+def _compare_rest(measured: _Measured) -> list[str]:
+    """Line about a receiver at rest whose fixes move."""
+    speed = float(np.nanmedian(np.linalg.norm(measured.fixes[:, 3:6], axis=1)))
+    moves = (
+        f"fixes move at {speed:.2g} m/s (median), and at most {AT_REST_MPS:g} m/s at rest: is it?"
+    )
+    return [moves] if speed > AT_REST_MPS else []
+
+
 def _compare_turns(measured: _Measured, samples: InertialSamples) -> list[str]:
     """Line about turns of the sensor that are not those of the velocity, with their cause."""
     rows = np.flatnonzero(np.isfinite(measured.fixes[:, 0]))
@@ -367,17 +452,28 @@ def _compare_turns(measured: _Measured, samples: InertialSamples) -> list[str]:
     after = np.minimum(np.searchsorted(time, time + TURN_S), len(time) - 1)
     still = np.cumsum(np.hypot(local[:, 0], local[:, 1]) < MOVING_MPS)
     apart = np.abs(time[after] - time - TURN_S) > 0.5 * TURN_S
-    good = ~apart & (still[after] == still) & (time >= samples.time[0]) & (time <= samples.time[-1])
-    turned = (heading[after] - heading)[good]
-    sensed = (lambda x: x[after] - x)(np.interp(time, samples.time, angle))[good]
-    if good.sum() < FEWEST or np.sqrt(np.mean(turned**2)) < TURN_RAD or not sensed.any():
-        return []
-    alike = float(turned @ sensed / np.sqrt((turned @ turned) * (sensed @ sensed)))
-    ratio = float(np.sqrt((sensed @ sensed) / (turned @ turned)))
+    moves, turned = ~apart & (still[after] == still), heading[after] - heading
+
+    def compare(later: float = 0.0) -> tuple[float, float]:
+        """Correlation of both, and how many times as large those of the sensor are."""
+        at = time + later
+        good = moves & (at >= samples.time[0]) & (at <= samples.time[-1])
+        sensed = (lambda x: x[after] - x)(np.interp(at, samples.time, angle))[good]
+        x, y, xy = turned[good] @ turned[good], sensed @ sensed, turned[good] @ sensed
+        if good.sum() < FEWEST or x < good.sum() * TURN_RAD**2 or y == 0.0:
+            return 0.0, 1.0
+        return float(xy / np.sqrt(x * y)), float(np.sqrt(y / x))
+
+    alike, ratio = compare()
+    found = f"the sensor turns by {math.copysign(ratio, alike):.3g} times what the velocity does"
     cause = "is an axis turned round, or are the axes left-handed" if alike < -0.5 else ""
     if abs(alike) > 0.5 and not 0.1 < ratio < 10.0:
         cause = "is the unit of the axis that points down right (deg/s for rad/s)"
-    found = f"the sensor turns by {math.copysign(ratio, alike):.3g} times what the velocity does"
+    shifts = {later: abs(compare(later)[0]) for later in (LEAP_SECONDS, -LEAP_SECONDS)}
+    later = max(shifts, key=lambda x: shifts[x])
+    if abs(alike) < 0.5 and shifts[later] > ALIKE:
+        found = f"turns of the sensor are those of the velocity {later:+g} s away"
+        cause = "is `time.scale` right (unix for unix-gps, or the other way round)"
     return [f"{found}: {cause}?"] if cause else []
 
 

@@ -78,6 +78,8 @@ class InertialRecording:
             cause = (
                 "is time zero the start of the first sample, also of `gnss_time`?"
                 if k == 0
+                else "are times in ms?"
+                if np.median(lengths) > LONGEST_SAMPLE_S
                 else "replay the parts before and after a gap one by one"
             )
             raise ValueError(

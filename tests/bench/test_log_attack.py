@@ -1,6 +1,7 @@
 """Attacks on a log: as on the engine, as on the log's own filter, and what is refused."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -137,6 +138,17 @@ def test_every_family_is_scored_at_the_budget_and_within_the_bound(own):
     assert half["open-loop"][MOVED]["value"] > half["ramp"][MOVED]["value"]
     assert half["step"][MOVED]["value"] < half["ramp"][MOVED]["value"]
     assert max(row[MOVED]["value"] for row in rows) < found.zero_alarm.restricted_m
+
+
+def test_windows_are_cut_where_epochs_jitter_but_none_is_missing(own):
+    log, rng = InnovationLog.load(own[0]), np.random.default_rng(0)
+    starts = LogReplay(log, TESTED, **SHORT).starts
+    jitter = replace(log, time=log.time + rng.uniform(-0.3, 0.3, len(log.time)))
+    assert LogReplay(jitter, TESTED, **SHORT).starts.tolist() == starts.tolist()
+    late = replace(log, time=log.time + (np.arange(len(log.time)) >= 800))
+    assert len(LogReplay(late, TESTED, **SHORT).starts) == len(starts) - 1
+    with pytest.raises(ValueError, match="`heading_deg` must be"):
+        LogReplay(log, TESTED, heading_deg=np.nan)
 
 
 def test_the_noise_that_would_mend_a_log_does(tmp_path):

@@ -86,7 +86,8 @@ def test_a_lever_arm_moves_the_sensor_to_the_antenna(read):
         ('"-ay"', '"-xx"', "unknown column 'xx'; valid: ax"),
         ('"-ay"', "9", "unknown column '9'; valid: 1, 2"),
         ("[time]", "[time", "is not TOML: "),
-        ("[time]", "lever_arm_m = 3\n[time]", "`lever_arm_m` must be 3 numbers, got 3"),
+        ("[time]", "lever_arm_m = 3\n[time]", "`lever_arm_m` must be 3 numbers of .*, got 3"),
+        ("[time]", "lever_arm_m = [500, 0, 0]\n[time]", "at most 100 m, got .500, 0, 0."),
     ],
 )
 def test_a_mapping_that_is_wrong_names_the_key(read, old, new, message):

@@ -73,7 +73,7 @@ def test_a_log_of_the_engine_gives_its_statistics_to_the_last_bit(signals, tmp_p
     table = InnovationLog.load(log.save(tmp_path / "run.csv"))
     (coarse,) = judge_log(table, [detector])
     left = np.median(coarse.ratio) / np.median(found.ratio)
-    assert 0.8 < left < 1.0 if signals == "pseudorange" else left < 0.2
+    assert 0.9 < left < 1.0 if signals == "pseudorange" else left < 0.2
     assert any("correlations" in line for line in table.list_remarks())
     assert not any("correlations" in line for line in log.list_remarks())
 
@@ -188,6 +188,47 @@ def test_what_is_no_log_is_refused(change, message):
         InnovationLog.from_table(change(write_filter(20)))
 
 
+def test_tables_of_other_languages_are_read(tmp_path):
+    """Blanks after commas, absent numbers as C++ prints them, seconds of a week that begins again,
+    epochs that jitter."""
+    rng, table = np.random.default_rng(0), write_filter(100)
+    rising = 604_750.0 + table.time_s + rng.uniform(-0.2, 0.2, 100).repeat(6)
+    rows = [",".join(f" {x}" for x in row) for row in table.itertuples(index=False)]
+    rows[7] = " 2.0, north, velocity, -nan(ind), nan"  # rejected by the filter
+    stamps = np.mod(rising, 604_800.0)
+    lines = [f"{a}{row[row.index(',') :]}" for a, row in zip(stamps, rows, strict=True)]
+    head = "time_s , channel, signal, innovation, variance"
+    (tmp_path / "log.csv").write_text("\n".join([head, *lines]))
+    log = InnovationLog.load(tmp_path / "log.csv")
+    np.testing.assert_allclose(log.time, rising[::6])
+    assert log.channels == ("down", "east", "north")
+    assert (~np.isfinite(log.innovation)).sum() == 1
+    slow = replace(log, time=1e3 * log.time)
+    assert any("are times in s" in line for line in slow.list_remarks())
+
+
+@pytest.mark.parametrize("last", [False, True])
+def test_matrices_of_matlab_are_read_with_epochs_as_first_or_last_axis(clean, last, tmp_path):
+    from scipy.io import savemat
+
+    arrays = {"time": clean.time[:, None], "innovation": clean.innovation}
+    cov = clean.innovation_cov
+    arrays["innovation_cov"] = np.moveaxis(cov, 0, 2) if last else cov
+    arrays["channels"] = np.array(clean.channels, dtype=object)  # cells, or rows of letters
+    arrays["signals"] = np.array(clean.signals, dtype=object if last else str)
+    savemat(tmp_path / "log.mat", arrays)
+    found = InnovationLog.load(tmp_path / "log.mat")
+    for name in ("time", "innovation", "innovation_cov", "channels", "signals"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(clean, name))
+    whole = (tmp_path / "log.mat").read_bytes()
+    for damage in (whole[:200], b"MATLAB 7.3 MAT-file" + b" " * 105 + b"\0\2IM" + whole):
+        (tmp_path / "log.mat").write_bytes(damage)
+        with pytest.raises(
+            ValueError, match=r"log.mat: (scipy can't read it|it is of version 7\.3)"
+        ):
+            InnovationLog.load(tmp_path / "log.mat")
+
+
 def test_matrices_of_a_wrong_shape_or_with_objects_are_refused(clean, tmp_path):
     path = clean.save(tmp_path / "log.npz")
     with np.load(path) as found:
@@ -212,6 +253,9 @@ def test_a_detector_says_what_the_log_lacks(clean):
     ):
         judge_log(alone, [{"name": "snapshot-chi2"}])
     assert judge_log(alone, [{"name": "snapshot-chi2", "signals": "pseudorange"}])[0].factor == 1.0
+    rates = InnovationLog.from_table(write_filter(400).query("signal == 'velocity'"))
+    with pytest.raises(ValueError, match=r"ewma has a statistic of 0 .* does not read velocity"):
+        judge_log(rates, ["ewma"])
     with pytest.raises(
         ValueError, match=r"raim needs .*pseudorange, .* which the log does not have"
     ):
@@ -231,6 +275,8 @@ def test_the_command_checks_judges_and_converts(clean, tmp_path, monkeypatch):
     remarks = json.loads(call("log", "check", "wrong.csv", "--json").output)["remarks"]
     assert all("are units, time base and satellite clocks right" in line for line in remarks)
     assert "written: walk.npz" in call("log", "import", "walk.csv", "-o", "walk.npz").output
+    found = json.loads(call("log", "import", "walk.csv", "-o", "walk.npz", "--json").output)
+    assert (found["epochs"], found["written"]) == (800, "walk.npz")
     options = "--detector", "ewma", "--detector", "snapshot-chi2:signals=pseudorange"
     rows = json.loads(call("log", "judge", "walk.npz", *options, "--json").output)
     assert [row["epochs"] for row in rows] == [800, 800]
@@ -240,3 +286,4 @@ def test_the_command_checks_judges_and_converts(clean, tmp_path, monkeypatch):
         "log", "judge", "walk.npz", *options, "--false-alarms-per-hour", "0.2"
     )
     assert "there is no file" in refused("log", "check", "none.csv")
+    assert "valid: .csv, .npz" in refused("log", "import", "walk.csv", "-o", "walk.txt")

@@ -190,6 +190,10 @@ REFUSED = {
         lambda r: {"position_e": r.position_e * 0.0 + [48.0, 11.0, 500.0]},
         "latitude, lon",
     ),
+    "radians": (lambda r: {"position_e": r.position_e * 0.0 + [0.8, 0.2, 500.0]}, "latitude, lon"),
+    "km": (lambda r: {"position_e": r.position_e / 1e3}, r"got \[\d{4}\..*is it in km"),
+    "knots": (lambda r: {"velocity_e": np.asarray(r.velocity_e) * 3600 / 1852}, "is it in knots"),
+    "mg": (lambda r: {"specific_force_b": np.asarray(r.specific_force_b) * 1e3}, "is it in mg"),
     "zeros": (lambda r: {"position_e": np.nan_to_num(r.position_e)}, "mark of an absent one"),
     "local": (
         lambda r: {"velocity_e": np.tile([60.0, 52.0, 0.0], (len(r.gnss_time), 1))},
@@ -217,6 +221,12 @@ def test_noise_must_fit_and_wrong_rates_are_named(recording):
             replay(recording, RECEIVER, noise_variance=noise)
     with pytest.raises(ValueError, match="takes neither velocities nor"):
         replay(recording, LooselyCoupled(self_tuning={"window": 20}), noise_variance=NOISE)
-    turned = replace(recording, angular_rate_b=np.asarray(recording.angular_rate_b) * 57.3)
-    with pytest.warns(ImplausibleWarning, match=r"deg/s .*after the start at"):
-        replay(turned, RECEIVER, noise_variance=NOISE**2)
+    rate, force = np.asarray(recording.angular_rate_b), np.asarray(recording.specific_force_b)
+    for wrong, said in (
+        ({"angular_rate_b": 57.3 * rate}, "in deg/s"),
+        ({"angular_rate_b": rate / 57.3}, "turned into rad/s twice"),
+        ({"angular_rate_b": -rate}, "opposite sign"),
+        ({"specific_force_b": -force}, "sign of gravity"),
+    ):
+        with pytest.warns(ImplausibleWarning, match=f"{said} .*after the start at"):
+            replay(replace(recording, **wrong), RECEIVER, noise_variance=NOISE**2)
