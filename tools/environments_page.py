@@ -108,7 +108,7 @@ def draw_episode(name: str) -> Iterator[Any]:
     env: Any = gym.make(f"spoofgym/{name}-v0", detector="never", render_mode="rgb_array")
     env.reset(seed=2)
     env.action_space.seed(2)
-    action = env.action_space.sample() * 0.1  # one for each satellite; a common one moves nothing
+    action = env.action_space.sample() * -0.1  # one for each satellite; a common one moves nothing
     if name != "Offsets":
         action[:] = 0.0
         action[0] = 0.4 if name == "Zhong2025" else 0.1
