@@ -107,8 +107,11 @@ def draw_episode(name: str) -> Iterator[Any]:
     """Frames of an episode, at most 40."""
     env: Any = gym.make(f"spoofgym/{name}-v0", detector="never", render_mode="rgb_array")
     env.reset(seed=2)
-    action = env.action_space.sample() * 0.0
-    action[: None if name == "Offsets" else 1] = {"Offsets": 0.05, "Zhong2025": 0.4}.get(name, 0.1)
+    env.action_space.seed(2)
+    action = env.action_space.sample() * -0.1  # one for each satellite; a common one moves nothing
+    if name != "Offsets":
+        action[:] = 0.0
+        action[0] = 0.4 if name == "Zhong2025" else 0.1
     over, step, every = False, 0, -(-env.unwrapped.core.episode_steps // 40)
     while not over:
         *_, over, _, _ = env.step(action)

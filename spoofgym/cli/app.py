@@ -157,6 +157,18 @@ def print_lines(lines: Iterable[str]) -> None:
         typer.echo(line)
 
 
+def can_draw(out: Path, others: Iterable[str] = ()) -> bool:
+    """Whether there is matplotlib; a line says so where not. An ending must be valid."""
+    from ..core.plots import check_picture
+
+    try:
+        check_picture(out, others)
+    except ImportError as error:
+        typer.echo(f"no picture: {error}", err=True)
+        return False
+    return True
+
+
 def print_written(files: Sequence[Path]) -> None:
     """Say which files were written, if any."""
     if files:

@@ -70,7 +70,7 @@ def bench(
     options: SuiteOptions,
     alarm_budget: Annotated[
         float,
-        Option(help="P(alarm | silent without attack) that spoofers are fitted to, see --rule."),
+        Option(help="Share of runs, silent without the attack, that may alarm; see --rule."),
     ] = 0.05,
     training_runs: Annotated[
         int | None,
@@ -111,7 +111,7 @@ def bench(
     backend: opt.Backend = "local",
     shard: opt.Shard = None,
 ) -> None:
-    """Play detectors against spoofers on the same runs; interrupted, it goes on when run again.
+    """Play detectors against spoofers on the same runs (resumable).
 
     Without options of the world it is that of task S1. All detectors are calibrated to one rate of
     false alarms, 0.2 an hour unless another one is given. Sky, heading, onset and turn-on constants
@@ -180,7 +180,7 @@ def report(
     as_json: opt.Json = False,
     verbose: Verbose = False,
 ) -> None:
-    """Score the finished cells of a folder again, and write its report."""
+    """Write the report of a folder of results again, finished or not."""
     from ..bench.experiments import Store
     from ..bench.experiments.campaign import CampaignResults
     from ..bench.report.campaign import WorstRows

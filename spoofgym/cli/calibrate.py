@@ -28,8 +28,8 @@ def calibrate(
         list[str] | None,
         Option(
             help="Detector, may be repeated; an .onnx file, too; `all` for all that suit the "
-            f"victim. Default: those of the benchmark. {opt.SPEC_HELP} The exit status is 1 where "
-            "one that is named can have no threshold."
+            f"victim. Default: those of the benchmark. {opt.SPEC_HELP} Exit status 1 where a "
+            "named one can't be calibrated."
         ),
     ] = None,
     runs: Annotated[
@@ -37,12 +37,12 @@ def calibrate(
         Option(
             min=1,
             max=opt.LARGEST_RUNS,
-            help="Clean runs. Default: 20000, which passive detectors share, and 2000 of each one "
+            help="Clean runs. Default: 20000 for all passive detectors, 2000 for each one "
             "that de-weights.",
         ),
     ] = None,
     false_alarms_per_hour: Annotated[
-        float, Option(help="Rate of false alarms that is to be had and shown.")
+        float, Option(help="False-alarm rate that thresholds are found for.")
     ] = 0.2,
     rescaled: Annotated[
         bool, Option("--rescaled", help="Rescale innovations, for tests with a drift term.")
@@ -61,7 +61,7 @@ def calibrate(
         bool, Option("--check", help="Replay the first runs of every calibration.")
     ] = False,
     overwrite: Annotated[
-        bool, Option("--overwrite", help="Play again what has been calibrated.")
+        bool, Option("--overwrite", help="Replace calibrations that exist.")
     ] = False,
     task: Annotated[str | None, Option(help="World of a task, S1 to S3 or T1 to T6.")] = None,
     as_json: opt.Json = False,
@@ -69,7 +69,7 @@ def calibrate(
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
 ) -> None:
-    """Find thresholds for a rate of false alarms on clean runs; killed, it goes on from there."""
+    """Calibrate thresholds to a false-alarm rate on attack-free runs (resumable)."""
     from ..bench.experiments import calibration
     from ..bench.report.results import CALIBRATIONS, print_hold_outs
     from ..calibration.holdouts import HOLDOUT_WEIGHING

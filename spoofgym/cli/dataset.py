@@ -54,9 +54,7 @@ def dataset(
     validation: Annotated[
         int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs to choose on.")
     ] = 256,
-    test: Annotated[
-        int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs to look at in the end.")
-    ] = 256,
+    test: Annotated[int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs for the last test.")] = 256,
     file_runs: Annotated[int, Option(min=1, max=4096, help="Runs of a file.")] = 64,
     alert_limit_m: Annotated[
         float | None,
@@ -73,7 +71,7 @@ def dataset(
     backend: opt.Backend = "local",
     shard: opt.Shard = None,
 ) -> None:
-    """Write labelled episodes to train a detector on; killed, it goes on from there.
+    """Write labelled episodes to train a detector on (resumable).
 
     In memory a run takes 4 bytes an epoch and observation, for two episodes, and twice that while
     it is read. Where the domain draws ages (`age_s`) all are as long as the oldest: by default 3 MB

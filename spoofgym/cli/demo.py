@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from typer import Option
 
 from . import options as opt
-from .app import print_json, print_lines
+from .app import can_draw, print_json, print_lines
 from .suites import calibrate_suite
 
 SCENARIO, RATE_MPS = "zhong2025", 0.4
@@ -24,11 +24,9 @@ def demo(
     """Play one spoofing attack against two detectors, and draw what each of them sees of it."""
     from ..bench.experiments.suite import RATE, Suite
     from ..bench.runs.episode import draw_comparison, play_episode
-    from ..core.plots import check_picture
     from ..envs.factory import choose_env_id
 
-    if picture:
-        check_picture(out)
+    picture = picture and can_draw(out)
     suite = Suite(
         env=choose_env_id(["scenario"]),
         scenario=SCENARIO,

@@ -30,8 +30,8 @@ def limits(
     spoofer: Annotated[
         str | None,
         Option(
-            help="Spoofer of which to say whether the bound by divergence holds for it, and what "
-            f"it is. Default: none. {opt.SPEC_HELP}"
+            help="Spoofer to compute the bound by divergence for, where it holds. Default: none. "
+            f"{opt.SPEC_HELP}"
         ),
     ] = None,
     worlds: Annotated[
@@ -75,7 +75,7 @@ def limits(
 
     The default world and S1 take some ten minutes of a processor, as each of 32 worlds begins when
     the receiver is switched on, up to an hour before the attack; `--worlds 4` takes one or two.
-    How far it is, and how long that takes, is printed on stderr.
+    Progress is printed on stderr.
     """
     from ..bench.report import limits as report
     from ..core.plots import check_picture

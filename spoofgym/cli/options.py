@@ -67,8 +67,8 @@ Processes = Annotated[
 Backend = Annotated[
     str,
     Option(
-        help="Who computes: local; dask or ray, on this machine, or with :address on a cluster "
-        "that runs already."
+        help="Where it computes: local; dask or ray, on this machine, or with :address on a "
+        "cluster that runs already."
     ),
 ]
 Shard = Annotated[
@@ -101,7 +101,7 @@ Oracles = Annotated[
     bool,
     Option(
         "--allow-oracles",
-        help="Admit detectors whose settings tell them the attack; the results say so.",
+        help="Admit detectors whose settings reveal the attack; results are marked.",
     ),
 ]
 
@@ -161,7 +161,7 @@ class WorldOptions:
     context: typer.Context
     env: str | None = Option(
         None,
-        help=f"Environment, whose settings all others are put on top of. Default: {ENV}, the world "
+        help=f"Environment; the other options change its settings. Default: {ENV}, the world "
         f"of task S1, or with --scenario or --track {PLAIN}, whose settings are those of the "
         "papers. See `spoofgym list envs`.",
     )
@@ -204,8 +204,8 @@ class WorldOptions:
     )
     interpolated: str = Option(
         "drop",
-        help="What becomes of positions on the line between their neighbours: drop, or keep, for "
-        "simulated tracks.",
+        help="Positions exactly between their neighbours, as trackers fill gaps: drop, or keep "
+        "(simulated tracks).",
     )
     from_s: float | None = Option(
         None,

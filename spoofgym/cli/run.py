@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from typer import Option
 
 from . import options as opt
-from .app import print_json, print_lines, progress
+from .app import can_draw, print_json, print_lines, progress
 from .options import SuiteOptions, with_options
 from .suites import Reports, build_suite, calibrate_suite
 
@@ -52,18 +51,11 @@ def run(
     from ..bench.report.table import FIELDS
     from ..bench.runs.episode import draw_episode, play_episode
     from ..core.files import COLUMN_FILES, check_pyarrow, write_columns
-    from ..core.plots import check_picture
     from ..envs.rendering.animation import WRITERS, animation_writer
 
     numbers = out.suffix.lower() in COLUMN_FILES
-    picture = picture and not numbers
+    picture = picture and not numbers and can_draw(out, WRITERS)
     animated = out.suffix.lower() in WRITERS
-    if picture:
-        try:
-            check_picture(out, WRITERS)
-        except ImportError as error:
-            typer.echo(f"no picture: {error}", err=True)
-            picture = False
     if out.suffix.lower() == ".parquet":
         check_pyarrow()
     if picture and animated:

@@ -10,7 +10,7 @@ from typer import Argument
 from . import options as opt
 from .app import print_json, print_lines, progress
 
-PREFIX = "spoofgym/"
+PREFIX, DETECTORS = "spoofgym/", "all detectors"
 FORMS: dict[str, int | None] = {"single": None, "batch": 8}
 """Receivers by form; None is the single environment."""
 
@@ -24,8 +24,9 @@ def warmup(
 ) -> None:
     """Compile for this machine what first episodes need, so that none of them waits for it.
 
-    Every environment plays an episode as single and as vector environment. What was compiled is
-    stored for all later processes, until spoofgym or numba changes.
+    Every environment plays an episode as single and as vector environment, and so do all detectors
+    at once, in some eight minutes of a processor. What was compiled is stored for all later
+    processes, until spoofgym or numba changes. Some commands still compile for a few seconds.
     """
     import gymnasium as gym
 
@@ -39,6 +40,7 @@ def warmup(
     wanted = [name if name.startswith(PREFIX) else PREFIX + name for name in ids or known]
     for name in wanted:
         check_choice("environment", name, known)
+    wanted += [] if ids else [DETECTORS]
     table = Table(
         ("environment", "id"),
         ("", "form"),
@@ -71,7 +73,16 @@ def _play(name: str, receivers: int | None) -> None:
     import gymnasium as gym
     import numpy as np
 
-    env: Any = gym.make(name) if receivers is None else gym.make_vec(name, num_envs=receivers)
+    from ..calibration.thresholds import suitable_detectors
+
+    options: dict[str, Any] = {}
+    if name == DETECTORS:
+        name = f"{PREFIX}Zhong2025-v0"
+        inner: Any = gym.make(name).unwrapped
+        options = {"detector": "never", "watch": suitable_detectors(inner.core.setup)}
+    how = {} if receivers is None else {"num_envs": receivers}
+    make: Any = gym.make if receivers is None else gym.make_vec
+    env: Any = make(name, **how, **options)
     env.action_space.seed(0)
     env.reset(seed=0)
     ended = False

@@ -101,7 +101,7 @@ SMALLER_CODE = {
 """What stands in place of a part of a block of Python that would take as long."""
 SPAN = re.compile(r"(?<!`)`((?:spoofgym|python -m|make) [^`\n]* ?--[^`\n]*)`(?!`)")
 """A command within a sentence, with options: one without is the name of a program."""
-PLACEHOLDER = re.compile(r"\b(NAME|COMMIT|KEY)\b")
+PLACEHOLDER = re.compile(r"\b(NAME|COMMIT|KEY|FILE)\b")
 PART = re.compile(
     r"(?:<!-- needs (?P<needs>\w+) -->\n)?^ *```(?P<language>[^`\s]+)\n(?P<text>.*?)^ *```$"
     r"|Saved as `(?P<saved>\w+\.(?:py|toml))`"
