@@ -19,6 +19,7 @@ from .suites import calibrate_suite, leave_uncalibrated, make_tuning
 
 if TYPE_CHECKING:
     from ..bench.experiments import Experiment, Reader
+    from ..bench.runs.players import PlayerSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,6 +261,7 @@ def audit_detectors(texts: list[str], options: AuditOptions) -> Audited:
 def audit_spoofer(text: str, options: AuditOptions) -> Audited:
     """Audit a spoofer by task: a campaign beside the usual attacks."""
     from ..bench.experiments.audit_cells import choose_entropy
+    from ..bench.experiments.audit_worlds import Worlds
     from ..bench.experiments.campaign import Campaign, summarize
     from ..bench.experiments.suite import (
         Suite,
@@ -272,6 +274,7 @@ def audit_spoofer(text: str, options: AuditOptions) -> Audited:
     from ..bench.report.page import load_replay, write_page
     from ..bench.runs.players import add_tuned_setting, specify_spoofer
     from ..core.registry import slug
+    from ..detectors import detector_in_world
     from ..envs.spoofer_binding import MisfitError
     from ..tasks import get_detector_task
 
@@ -306,7 +309,12 @@ def audit_spoofer(text: str, options: AuditOptions) -> Audited:
             raise ValueError(
                 f"{error} to `spoofgym bench`: an audit plays in the world of {task.key} alone"
             ) from error
-        suite, text = leave_uncalibrated(suite, options.size == "quick")
+        worlds = Worlds(task, suite.entropy, options.threads)
+
+        def expect(entry: PlayerSpec, worlds: Worlds = worlds) -> str:
+            return worlds.expect_calibration(entry.spec, detector_in_world(entry.spec), 1)[0]
+
+        suite, text = leave_uncalibrated(suite, None if options.size == "quick" else expect)
         if text:
             typer.echo(f"{task.key}: {text}", err=True)
         campaign = Campaign(calibrate_suite(suite, None, options.threads))

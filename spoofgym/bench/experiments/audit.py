@@ -13,8 +13,6 @@ from typing import Any
 
 from ...core.progress import ProgressBar
 from ...detectors import detector_in_world
-from ...detectors.build import bare_detector
-from ...detectors.calibrated import unwrap
 from ...receiver.log import InnovationLog
 from ...tasks import DetectorTask
 from ..runs.players import specify_detectors
@@ -58,9 +56,9 @@ class Auditor(AuditPlan):
         detector = check_contract(detector, say)
         judge = detector_in_world(detector)  # whose process all below share
         worlds, world = self.worlds, self.worlds.world.setup
-        (entry,), bare = specify_detectors([detector]), unwrap(bare_detector(detector))
-        _, whole_us = worlds.measure_cost(bare, self.size.ages)
-        if text := worlds.expect_calibration(judge, bare, whole_us):
+        (entry,) = specify_detectors([detector])
+        text, whole_us = worlds.expect_calibration(detector, judge, self.size.ages)
+        if text:
             say(
                 f"{entry.label} has no thresholds for {self.task.key} yet: a calibration on {text},"
                 " is stored and serves all later audits"

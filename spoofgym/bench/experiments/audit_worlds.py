@@ -263,18 +263,19 @@ class Worlds:
         scale = 1e6 / (TIMED * TIMED_EPOCHS)
         return scale * spent, scale * (time.process_time() - begun)
 
-    def expect_calibration(self, judge: Detector, bare: Detector, whole_us: float) -> str:
-        """What a calibration of a detector takes, in words; "" where it has thresholds. `bare`: the
-        same without any; `whole_us`: time of its simulation."""
-        world = self.world.setup
+    def expect_calibration(self, detector: Any, judge: Detector, ages: int) -> tuple[str, float]:
+        """What a calibration of a detector takes, in words, "" where it has thresholds; and the
+        time of its simulation [us]. `judge`: the detector in a world."""
+        world, bare = self.world.setup, unwrap(bare_detector(detector))
+        _, whole_us = self.measure_cost(bare, ages)
         try:
             resolve_thresholds(judge, world)
         except ValueError:
             runs = WEIGHING_RUNS if weighs(world, bare) else PASSIVE_RUNS
             epochs = runs * (expect_onset(world) + world.steps + world.hold)
             minutes = max(epochs * whole_us / 6e7, 1.0)
-            return f"{runs} clean runs, some {minutes:.0f} min of a processor"
-        return ""
+            return f"{runs} clean runs, some {minutes:.0f} min of a processor", whole_us
+        return "", whole_us
 
     def search_open_loop(
         self, detector: ScoredDetector, settings: OpenLoopSearch, tick: Callable[[float], None]
