@@ -19,6 +19,7 @@ from .suites import calibrate_suite, leave_uncalibrated, make_tuning
 
 if TYPE_CHECKING:
     from ..bench.experiments import Experiment, Reader
+    from ..bench.runs.players import PlayerSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,8 +222,8 @@ def audit_detectors(texts: list[str], options: AuditOptions) -> Audited:
     from ..bench.experiments.audit import Auditor
     from ..bench.experiments.log_audit import LogAuditor
     from ..bench.report.audit import format_screen
-    from ..bench.report.detector_page import build_scores_page
-    from ..bench.report.page import write_page
+    from ..bench.report.detector_page import build_scores_page, replay_worst
+    from ..bench.report.page import load_replay, store_replay, write_page
 
     specs, found, written = opt.parse_specs(texts), [], []
     sizes: Any = {"runs": options.runs, "selection_runs": options.selection_runs}
@@ -248,14 +249,19 @@ def audit_detectors(texts: list[str], options: AuditOptions) -> Audited:
                 stores.append(results.store)
         if own:
             scores, store = {"detectors": [each.as_dict() for each in own]}, stores[-1]
-            written.append(write_page(store, build_scores_page(store, scores))[-1])
+            if isinstance(auditor, Auditor):
+                families = own[-1].score.families
+                store_replay(store, replay_worst(auditor, cells.detectors[0].player, families))
+            page = build_scores_page(store, scores, load_replay(store))
+            written.append(write_page(store, page)[-1])
         found += own
     return [each.as_dict() for each in found], [*map(format_screen, found)], written
 
 
 def audit_spoofer(text: str, options: AuditOptions) -> Audited:
     """Audit a spoofer by task: a campaign beside the usual attacks."""
-    from ..bench.experiments.audit_cells import draw_entropy
+    from ..bench.experiments.audit_cells import choose_entropy
+    from ..bench.experiments.audit_worlds import Worlds
     from ..bench.experiments.campaign import Campaign, summarize
     from ..bench.experiments.suite import (
         Suite,
@@ -268,6 +274,7 @@ def audit_spoofer(text: str, options: AuditOptions) -> Audited:
     from ..bench.report.page import load_replay, write_page
     from ..bench.runs.players import add_tuned_setting, specify_spoofer
     from ..core.registry import slug
+    from ..detectors import detector_in_world
     from ..envs.spoofer_binding import MisfitError
     from ..tasks import get_detector_task
 
@@ -285,13 +292,12 @@ def audit_spoofer(text: str, options: AuditOptions) -> Audited:
         raise ValueError("the spoofer none attacks nothing: there is nothing to audit")
     for task in map(get_detector_task, options.tasks):
         others = [add_tuned_setting(name) for name in REFERENCES if name != player.spec["name"]]
-        entropy = draw_entropy(options.out) if options.seed is None else options.seed
         suite = Suite(
             **standard_kwargs(task),
             detectors=list_standard_detectors(task.task),
             spoofers=[player.spec, *others],
             runs=size.runs,
-            entropy=entropy,
+            entropy=choose_entropy(options.out, options.seed),
             tuning=make_tuning(size.training_runs, 0.05, rule="exact", quick=size.quick),
             floor_worlds=size.floor_worlds,
         )
@@ -303,7 +309,12 @@ def audit_spoofer(text: str, options: AuditOptions) -> Audited:
             raise ValueError(
                 f"{error} to `spoofgym bench`: an audit plays in the world of {task.key} alone"
             ) from error
-        suite, text = leave_uncalibrated(suite, options.size == "quick")
+        worlds = Worlds(task, suite.entropy, options.threads)
+
+        def expect(entry: PlayerSpec, worlds: Worlds = worlds) -> str:
+            return worlds.expect_calibration(entry.spec, detector_in_world(entry.spec), 1)[0]
+
+        suite, text = leave_uncalibrated(suite, None if options.size == "quick" else expect)
         if text:
             typer.echo(f"{task.key}: {text}", err=True)
         campaign = Campaign(calibrate_suite(suite, None, options.threads))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from .options import (
 
 if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
+    from ..bench.runs.players import PlayerSpec
     from ..bench.runs.world import World
     from ..bench.search.amplitude import Tuning
     from ..bench.search.attack_suite import Selection
@@ -152,23 +153,25 @@ def calibrate_suite(suite: Suite, detectors: Sequence[str] | None, threads: int 
     return suite
 
 
-def leave_uncalibrated(suite: Suite, quick: bool) -> tuple[Suite, str]:
-    """A suite whose `quick` audit plays only detectors with thresholds, and what is to be said of
-    those without; "" where all have some."""
+def leave_uncalibrated(
+    suite: Suite, expect: Callable[[PlayerSpec], str] | None
+) -> tuple[Suite, str]:
+    """A suite without the detectors that have no thresholds, or with what a calibration of each is
+    expected to take, where there is an `expect`; and what is to be said of them, "" for none."""
     left = []
     for entry in suite.detector_players:
         try:
             suite.world.judge(entry)
         except ValueError:
-            left.append(entry.label)
+            left.append(entry)
     if not left:
         return suite, ""
-    labels = ", ".join(left)
-    if not quick:
-        text = "calibrated first on clean runs, which takes minutes of a processor each, and stored"
-        return suite, f"{labels}: {text}"
-    note = f"{labels}{LEFT_OUT}a quick audit makes no calibration"
-    accepted = [e.spec for e in suite.detector_players if e.label not in left]
+    if expect is not None:
+        each = "; ".join(f"{entry.label}: {expect(entry)}" for entry in left)
+        return suite, f"calibrated first, and stored: {each}"
+    labels = [entry.label for entry in left]
+    note = f"{', '.join(labels)}{LEFT_OUT}a quick audit makes no calibration"
+    accepted = [e.spec for e in suite.detector_players if e.label not in labels]
     return replace(suite, detectors=accepted, notes=(*suite.notes, note)), note
 
 

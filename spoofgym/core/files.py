@@ -60,6 +60,12 @@ def write_file(path: Path, content: bytes, *, exclusive: bool = False) -> None:
         part.write_bytes(content)
 
 
+def check_writable(folder: Path) -> None:
+    """Make a folder where it is missing; raises the system's error where no file can be there."""
+    write_file(part := folder / f".{uuid.uuid4().hex}", bytes(4096))
+    part.unlink()
+
+
 @contextmanager
 def whole_file(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
     """Temporary file in the folder of `path`, which takes its name when the block has ended well.

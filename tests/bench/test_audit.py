@@ -21,6 +21,7 @@ from spoofgym.bench.scores.scores import SHARES
 from spoofgym.detectors import Calibrated, Never, Verdict
 from spoofgym.tasks import EVENTS
 
+from ..command_line import refused
 from ..outside.detectors import AverageRate, BlindAfterFiveMinutes, GrowingThreshold
 from .detector_support import SmallTask, small_task
 
@@ -319,3 +320,13 @@ def test_a_class_is_audited_as_its_name_is():
     assert named["p_hmi"] == given["p_hmi"]
     assert named["exceeded_m"] == given["exceeded_m"]
     assert named["detector"] == given["detector"]
+
+
+@pytest.mark.parametrize("side", ["detector", "spoofer"])
+def test_a_folder_that_takes_no_file_is_refused_before_anything_plays(side, tmp_path, monkeypatch):
+    monkeypatch.setattr(Auditor, "prepare", None)
+    monkeypatch.setattr("spoofgym.cli.audit.calibrate_suite", None)
+    (tmp_path / "file").write_text("")
+    words = ["--seed", "0", "--budget", "quick", "--out", str(tmp_path / "file")]
+    given = ["never"] if side == "detector" else ["--spoofer", "ramp"]
+    assert "file: File exists" in refused("audit", *given, *words)

@@ -65,14 +65,14 @@ def test_a_quick_audit_leaves_out_detectors_without_thresholds():
     detectors = ["never", {"name": "ewma", "smoothing": 0.123, "false_alarms_per_hour": 0.2}]
     whole = Suite(scenario="zhong2025", detectors=detectors, spoofers=["ramp"])
     label = whole.detector_players[1].label
-    part, note = leave_uncalibrated(whole, quick=True)
+    part, note = leave_uncalibrated(whole, None)
     assert [each.label for each in part.detector_players] == ["never"]
     assert note == f"{label} is left out: a quick audit makes no calibration"
     assert part.notes == (note,)
-    same, text = leave_uncalibrated(whole, quick=False)
+    same, text = leave_uncalibrated(whole, lambda entry: "2000 clean runs")
     assert same is whole
-    assert text.startswith(f"{label}: calibrated first on clean runs, which takes")
-    assert leave_uncalibrated(part, quick=True) == (part, "")
+    assert text == f"calibrated first, and stored: {label}: 2000 clean runs"
+    assert leave_uncalibrated(part, None) == (part, "")
 
 
 @pytest.mark.parametrize(

@@ -11,18 +11,13 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from ...calibration.thresholds import PASSIVE_RUNS, WEIGHING_RUNS
 from ...core.progress import ProgressBar
 from ...detectors import detector_in_world
-from ...detectors.build import bare_detector
-from ...detectors.calibrated import resolve_thresholds, unwrap
 from ...receiver.log import InnovationLog
-from ...simulation.simulator import weighs
 from ...tasks import DetectorTask
 from ..runs.players import specify_detectors
 from ..scores.audit import Audit
 from ..scores.detector import DetectorScore
-from ..search.bounds import expect_onset
 from .audit_cells import AuditCells, AuditPlan
 from .audit_worlds import check_contract
 from .calibration import calibrate_players
@@ -59,25 +54,19 @@ class Auditor(AuditPlan):
         """Cells of a detector, which is checked and calibrated first; `say` is given how long that
         and the audit take."""
         detector = check_contract(detector, say)
-        judge, worlds = detector_in_world(detector), self.worlds  # whose process all below share
-        (entry,), world = specify_detectors([detector]), worlds.world.setup
-        bare, missing = unwrap(bare_detector(detector)), 0
-        try:
-            resolve_thresholds(judge, world)
-        except ValueError:
-            missing = WEIGHING_RUNS if weighs(world, bare) else PASSIVE_RUNS
-        _, whole_us = worlds.measure_cost(bare, self.size.ages)
-        window = world.steps + world.hold
-        if missing:
-            minutes = missing * (expect_onset(world) + window) * whole_us / 6e7
+        judge = detector_in_world(detector)  # whose process all below share
+        worlds, world = self.worlds, self.worlds.world.setup
+        (entry,) = specify_detectors([detector])
+        text, whole_us = worlds.expect_calibration(detector, judge, self.size.ages)
+        if text:
             say(
-                f"{entry.label} has no thresholds for {self.task.key} yet: a calibration on "
-                f"{missing} clean runs, some {max(minutes, 1.0):.0f} min of a processor, is "
-                "stored and serves all later audits"
+                f"{entry.label} has no thresholds for {self.task.key} yet: a calibration on {text},"
+                " is stored and serves all later audits"
             )
         calibrate_players(worlds.world, [entry], threads=worlds.threads, progress=show)
         cells = AuditCells(self, worlds.build_detectors([detector]))
-        minutes = OVERHEAD * sum(cell.work for cell in cells.cells()) * window * whole_us / 6e7
+        epochs = sum(cell.work for cell in cells.cells()) * (world.steps + world.hold)
+        minutes = OVERHEAD * epochs * whole_us / 6e7
         say(
             f"{self.task.key}: the {self.budget} audit takes some {max(minutes, 1.0):.0f} min of a "
             "processor, less what is finished"

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from ...core.children import release_free_memory
-from ...core.files import write_file
+from ...core.files import check_writable, write_file
 from ...core.registry import check_choice, slug, whole_number
 from ...core.settings import compute_digest, describe, outside_sources
 from ...detectors import detector_in_world
@@ -67,8 +67,13 @@ FLOOR_PLAYS = 500.0
 """Runs that take about as long as a world of the floor."""
 
 
-def draw_entropy(folder: Path | None) -> int:
-    """Entropy that no detector has seen; of a folder, that of its first audit."""
+def choose_entropy(folder: Path | None, given: int | None) -> int:
+    """Entropy that is given, or one that no detector has seen; of a folder, that of its first
+    audit. A folder that can't be written to is refused here."""
+    if given is not None:
+        if folder is not None:
+            check_writable(folder)
+        return whole_number("`entropy`", given)
     drawn = secrets.randbits(32)
     if folder is not None:
         try:
@@ -110,8 +115,7 @@ class AuditPlan:
         self.families = tuple(own.get(key) or self.task.family(key) for key in dict.fromkeys(keys))
         root = None if folder is None else Path(folder)
         self.folder = None if root is None else root / self.task.key
-        drawn = draw_entropy(root) if entropy is None else entropy
-        self.entropy = whole_number("`entropy`", drawn)
+        self.entropy = choose_entropy(root, entropy)
         self.worlds = Worlds(self.task, self.entropy, threads)
 
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...calibration.thresholds import PASSIVE_RUNS, WEIGHING_RUNS
 from ...core.settings import compute_digest, describe
 from ...detectors import Detector, LearnedDetector, detector_in_world
 from ...detectors.build import bare_detector
@@ -38,7 +39,7 @@ from ..scores.audit import AgeProbe
 from ..scores.statistics import BUDGET
 from ..search.amplitude import Tuning, with_rates
 from ..search.attack_suite import SuiteAttack, list_fitting_attacks
-from ..search.bounds import DisplacementBounds
+from ..search.bounds import DisplacementBounds, expect_onset
 from ..search.open_loop import OpenLoopSearch, Optima
 from .training_attacks import QUIET_TASKS
 
@@ -250,8 +251,10 @@ class Worlds:
         """Time of a processor that a detector takes for an epoch of a receiver, and the whole
         simulation [us]."""
         simulator = self.start_at_ages(judge, TIMED, ages, TIMED).engine().simulator
-        spent, begun = 0.0, time.process_time()
-        for _ in range(TIMED_EPOCHS):
+        spent = begun = 0.0
+        for k in range(TIMED_EPOCHS + 1):
+            if k == 1:  # the first epoch compiles, or starts a process
+                spent, begun = 0.0, time.process_time()
             simulator.advance()
             now = time.process_time()
             verdict = simulator.judge()
@@ -259,6 +262,20 @@ class Worlds:
             simulator.update(verdict.weights)
         scale = 1e6 / (TIMED * TIMED_EPOCHS)
         return scale * spent, scale * (time.process_time() - begun)
+
+    def expect_calibration(self, detector: Any, judge: Detector, ages: int) -> tuple[str, float]:
+        """What a calibration of a detector takes, in words, "" where it has thresholds; and the
+        time of its simulation [us]. `judge`: the detector in a world."""
+        world, bare = self.world.setup, unwrap(bare_detector(detector))
+        _, whole_us = self.measure_cost(bare, ages)
+        try:
+            resolve_thresholds(judge, world)
+        except ValueError:
+            runs = WEIGHING_RUNS if weighs(world, bare) else PASSIVE_RUNS
+            epochs = runs * (expect_onset(world) + world.steps + world.hold)
+            minutes = max(epochs * whole_us / 6e7, 1.0)
+            return f"{runs} clean runs, some {minutes:.0f} min of a processor", whole_us
+        return "", whole_us
 
     def search_open_loop(
         self, detector: ScoredDetector, settings: OpenLoopSearch, tick: Callable[[float], None]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ...calibration.log import judge_log
 from ...core.declared import check_number
+from ...core.files import check_writable
 from ...core.progress import ProgressBar
 from ...core.registry import check_choice, slug
 from ...core.settings import compute_digest, describe
@@ -123,6 +124,8 @@ class LogAuditor:
             check_choice("family of attacks on a log", each, FAMILIES)
         self.families = [task.family(key) for key in dict.fromkeys(families or FAMILIES)]
         self.folder = None if folder is None else Path(folder) / self.key
+        if self.folder is not None:
+            check_writable(self.folder)
 
     def prepare(
         self,

@@ -6,11 +6,21 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from ...policies.card import SPOOFER
 from ...tasks import DETECTOR_TASKS
+from ..experiments.audit_cells import AuditPlan
+from ..experiments.audit_worlds import NEAR_ALARM
 from ..experiments.store import Store
-from ..runs.record import MEASURES, Protection
+from ..runs.episode import play_episode
+from ..runs.panel import select_runs
+from ..runs.players import PlayerSpec
+from ..runs.record import MEASURES, Aim, Protection
+from ..scores.audit import format_age
 from ..scores.campaign import score_hazard
 from ..scores.detector import FamilyScore
+from ..scores.scores import SHARES
 from .figures import (
     Dot,
     DotRow,
@@ -21,8 +31,8 @@ from .figures import (
     make_curve,
     make_hazard_curve,
 )
-from .page import Page, Picture, Sheet, list_played_settings
-from .table import Table, interval, percent, yes_no
+from .page import Page, Picture, Sheet, list_played_settings, record_replay
+from .table import Table, interval, metres, percent, yes_no
 from .tasks import DETECTOR_SCORES
 
 Row = dict[str, Any]
@@ -37,6 +47,8 @@ FAMILIES = Table(
     ("runs that count", "counted"),
 )
 
+FEWEST_RUNS = 72
+"""Runs whose largest is beyond what 5 % of all exceed, but for one case in 40."""
 UNSCORED = "There are no scores yet: the command that plays them goes on."
 
 
@@ -67,6 +79,26 @@ def build_scores_page(
     )
 
 
+def replay_worst(plan: AuditPlan, detector: PlayerSpec, families: Sequence[FamilyScore]) -> Row:
+    """The run in which the worst attack in the task's own world gets farthest, played again, as
+    `record_replay` has it; empty where all of its families are of other worlds."""
+    aim, task = Aim(MEASURES[0], SHARES[0]), plan.task
+    played = {x.key: x for x in plan.families if x.onset != NEAR_ALARM}
+    played = {key: x for key, x in played.items() if not task.get_overrides(x)}
+    own = [each for each in families if each.family in played and each.counted]
+    if not own:
+        return {}
+    worst = max(own, key=lambda each: each.protection.score_worst(aim))
+    attack, world = worst.protection.worst(aim), plan.worlds.world
+    moved = np.where(worst.protection.counts, attack.displacement[MEASURES[0]], -1.0)
+    onset = played[worst.family].onset
+    numbers = select_runs(world.setup, plan.entropy, "evaluation", plan.runs, onset)
+    player = PlayerSpec(attack.spoofer, SPOOFER, dict(attack.spec))
+    run = int(numbers[moved.argmax()])
+    episode = play_episode(world, detector, player, run, plan.entropy)
+    return record_replay(episode, task.alert_limit_m)
+
+
 def load_families(store: Store) -> dict[str, list[FamilyScore]]:
     """Scores by detector of the finished families; of several sizes that with most of them."""
     cells = [(cell.identity, found) for cell, found in store.read_all() if cell.identity]
@@ -84,18 +116,39 @@ def load_families(store: Store) -> dict[str, list[FamilyScore]]:
 
 
 def write_score_verdict(record: Row) -> list[str]:
-    """What is known of a detector, in words."""
+    """What is known of a detector, in words, the answer of an audit first."""
     half, few = (interval(record["exceeded_m"][share]) for share in ("0.5", "0.05"))
-    rate = interval(record["false_alarms_per_hour"])
-    return [
+    rate, limit = interval(record["false_alarms_per_hour"]), f"{record['alert_limit_m']:g} m"
+    lines = [record["answer"] + "."] if "answer" in record else []
+    lines.append(
         f"{record['detector']}: under its worst family of attacks, {record['worst_family']}, the "
-        f"error is beyond {record['alert_limit_m']:g} m without an alarm in time in "
-        f"{percent(record['p_hmi'])} % of the runs. The worst attacks displace by {half} m in half "
-        f"of the runs and by {few} m in 5 % of them. False alarms: {rate} an hour.",
+        f"error is beyond {limit} without an alarm in time in {percent(record['p_hmi'])} % of the "
+        f"runs. The worst attacks displace by {half} m in half of the runs and by {few} m in 5 % "
+        f"of them. False alarms: {rate} an hour."
+    )
+    if "ages" in record:
+        ages = record["ages"]
+        found = ", ".join(
+            f"{percent(share, 0)} % after {format_age(age)}"
+            for age, share in zip(ages["age_s"], ages["found"], strict=True)
+        )
+        lines.append(
+            f"An attack and the time to alert together last {record['window_s']:g} s. Of plain "
+            f"ramps that pass {limit}, {percent(ages['missed'])} % raise no alarm in time. By the "
+            f"time from switch-on to the attack, it finds of these ramps {found}."
+        )
+        if record["floor_m"] and (floor := record["floor_m"]["half"]["value"]) is not None:
+            lines.append(f"A perfect detector would still allow {metres(floor)} m in half of them.")
+        if other := record["reference"]:
+            moved = interval(other["exceeded_m"]["0.5"])
+            lines.append(f"Against {other['detector']}, the best non-learned one, it is {moved} m.")
+    few_runs = record["runs"] < FEWEST_RUNS
+    return [
+        *lines,
+        *(f"Warning: {text}." for text in record.get("warnings", [])),
         f"{record['runs']} runs of every family, attacks chosen on {record['selection_runs']} "
-        "others; in brackets 95 % intervals. Another attack may reach more.",
-        *record.get("warnings", []),
-        *([record["answer"]] if "answer" in record else []),
+        f"others{', too few to say much of 5 % of them' if few_runs else ''}; in brackets 95 % "
+        "intervals. Another attack may reach more.",
     ]
 
 

@@ -253,7 +253,8 @@ def draw_lines(
 def _draw_line(ax: Axes, line: Line, look: dict[str, Any]) -> None:
     x, y = np.asarray(line.x), np.asarray(line.y)
     end = len(x) if line.end is None else line.end + 1
-    ax.plot(x[:end], y[:end], label=_plain(line.label), **look)
+    marker = "o" if len(x) == 1 else None
+    ax.plot(x[:end], y[:end], marker=marker, label=_plain(line.label), **look)
     if line.end is not None:
         ax.plot(x[line.end :], y[line.end :], **{**look, "lw": 1, "ls": ":"})
         ax.plot(x[line.end], y[line.end], "X", color=look["color"], ms=8)

@@ -255,6 +255,7 @@ class Audit:
         return {
             **self.figures,
             "title": self.title,
+            "window_s": self.score.window_s,
             "budget": self.budget,
             "requested_per_hour": self.requested_per_hour,
             "worst_in_half": self.find_worst(SHARES[0]).family,

@@ -146,7 +146,7 @@ def test_families_of_attacks_have_a_page_finished_or_not(tmp_path):
     text = files[1].read_text()
     assert "Not finished" not in text
     assert f"worst family of attacks, {score.worst.family}, the error is beyond 20 m" in text
-    assert "<p>blind after 10 min</p>" in text
+    assert "<p>Warning: blind after 10 min.</p>" in text
     assert NAME not in text
 
 
