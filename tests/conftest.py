@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import shutil
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+from numba.core import event
 
 # The first example may compile a kernel, which no deadline allows for; the same code draws the
 # same examples everywhere.
@@ -130,6 +132,31 @@ def data_folder() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no data in {folder} (set {DATA_VARIABLE})")
     return folder
+
+
+class _Compiled(event.Listener):
+    def on_start(self, happened: event.Event) -> None:
+        name = happened.data["dispatcher"].py_func.__qualname__
+        pytest.fail(f"{name} is compiled while tests are collected, in every process at once")
+
+    def on_end(self, happened: event.Event) -> None:
+        pass
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Refuse a file that plays where it is imported; a test does it in one process, and later.
+
+    What is imported stays: Python's collector looks for garbage among all else (8 of 34 CPU s).
+    """
+    gc.disable()
+    try:
+        with event.install_listener("numba:compile", _Compiled()):
+            return (yield)
+    finally:
+        gc.enable()
+        gc.collect()
+        gc.freeze()
 
 
 def place_of(item: pytest.Item) -> int:

@@ -9,12 +9,17 @@ from spoofgym.attacks import AttackContext
 from spoofgym.earth.wgs84 import range_and_rate
 from spoofgym.truth.scenario import Scenario
 
+from ..lazily import Lazily
+
 ONSET = 30
 
 
 @cache
 def default_world():
     return Scenario().world()
+
+
+WORLD = Lazily(default_world)
 
 
 def begin(attack, world, receivers=1, onset=ONSET):

@@ -7,9 +7,8 @@ import pytest
 
 from spoofgym.attacks import AttackContext, FalsePosition, Offsets, as_offsets, make_attack
 
-from .support import ONSET, begin, default_world, offsets
+from .support import ONSET, WORLD, begin, default_world, offsets
 
-WORLD = default_world()
 FREE = {"acceleration_limit_mps2": 1e4, "rate_limit_mps": 1e4}
 TAU = 0.5
 SIZE = {"satellites": 8, "position+clock": 4, "rotated": 8}
@@ -123,7 +122,7 @@ def test_a_satellite_out_of_view_is_masked_and_comes_back_coherent(basis):
     away = slice(ONSET + 4, ONSET + 8)
     satellites, visible = WORLD.satellites.copy(), WORLD.visible.copy()
     satellites[away, 7, 6:], visible[away, 7] = 0.0, False
-    world = replace(WORLD, satellites=satellites, visible=visible)
+    world = replace(default_world(), satellites=satellites, visible=visible)
     attack = Offsets(basis=basis, **FREE)
     actions = np.zeros((12, SIZE[basis]))
     actions[:, 0], actions[:, -1] = 0.5, 0.7

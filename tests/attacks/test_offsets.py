@@ -8,9 +8,7 @@ from spoofgym.earth.wgs84 import ecef_to_geodetic
 from spoofgym.receiver._kernels import first_fix
 from spoofgym.truth.scenario import Scenario
 
-from .support import ONSET, begin, check_displaced, default_world, offsets
-
-WORLD = default_world()
+from .support import ONSET, WORLD, begin, check_displaced, offsets
 
 
 @pytest.mark.parametrize("start", [ONSET, ONSET + 400])

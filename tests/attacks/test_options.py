@@ -18,10 +18,11 @@ from spoofgym.attacks import (
 from spoofgym.envs import SpoofCore
 from spoofgym.simulation import TightlyCoupledSetup
 
-from .support import ONSET, check_displaced, default_world, offsets
+from .support import ONSET, WORLD, check_displaced, offsets
 
-WORLD = default_world()
-SEEN = WORLD.visible[ONSET + 1]
+
+def seen():
+    return WORLD.visible[ONSET + 1]
 
 
 def test_a_tracking_error_is_a_second_order_gauss_markov_process():
@@ -47,9 +48,9 @@ def test_a_tracking_error_is_a_second_order_gauss_markov_process():
 def test_range_rates_follow_the_tracking_error(kind):
     tracking = {"sd_m": 2.0, "correlation_s": 60.0}
     ranges, rates = offsets(kind(tracking=tracking), [None] * 30)
-    change, mean = np.diff(ranges, axis=0)[..., SEEN], 0.5 * (rates[1:] + rates[:-1])[..., SEEN]
+    change, mean = np.diff(ranges, axis=0)[..., seen()], 0.5 * (rates[1:] + rates[:-1])[..., seen()]
     np.testing.assert_allclose(change, 0.5 * mean, rtol=0, atol=5e-3)
-    assert np.abs(rates[..., SEEN]).max() > 0.02
+    assert np.abs(rates[..., seen()]).max() > 0.02
     without, none = offsets(kind(tracking=tracking, coherent=False), [None] * 30)
     np.testing.assert_array_equal(without, ranges)
     assert not none.any()
@@ -84,12 +85,12 @@ def test_the_spoofers_clock_is_common_and_coherent_and_wanders():
     clock = SpooferClock(offset_m=7.0, drift_mps=0.5)
     ranges, rates = offsets(FalsePosition(spoofer_clock=clock), [None] * 10)[:, :, 0]
     time = 0.5 * np.arange(1.0, 11.0)[:, None]
-    np.testing.assert_allclose(ranges, (7.0 + 0.5 * time) * SEEN, rtol=1e-12)
-    np.testing.assert_array_equal(rates, 0.5 * np.tile(SEEN, (10, 1)))
+    np.testing.assert_allclose(ranges, (7.0 + 0.5 * time) * seen(), rtol=1e-12)
+    np.testing.assert_array_equal(rates, 0.5 * np.tile(seen(), (10, 1)))
     # it differs from episode to episode
     clock = SpooferClock(offset_sd_m=20.0, drift_sd_mps=0.3, frequency_psd=0.04)
     both = offsets(PerChannel(spoofer_clock=clock), [None] * 2, receivers=2000)
-    ranges, rates = both[..., np.flatnonzero(SEEN)[0]]
+    ranges, rates = both[..., np.flatnonzero(seen())[0]]
     assert ranges[0].std() == pytest.approx(20.0, rel=0.07)
     assert rates[0].std() == pytest.approx(math.sqrt(0.3**2 + 0.04 * 0.5), rel=0.07)
     assert (rates[1] - rates[0]).std() == pytest.approx(math.sqrt(0.04 * 0.5), rel=0.07)
@@ -100,8 +101,8 @@ def test_only_what_is_due_and_aligned_is_captured_and_it_stays_so():
     attack = FalsePosition(capture=Capture(delay_s=2.0, alignment_m=120.0), **fast)
     ranges, rates = offsets(attack, push)
     free, _ = offsets(FalsePosition(**fast), push)
-    within = SEEN & (np.abs(free[3, 0]) <= 120.0)
-    assert 0 < within.sum() < SEEN.sum()
+    within = seen() & (np.abs(free[3, 0]) <= 120.0)
+    assert 0 < within.sum() < seen().sum()
     np.testing.assert_array_equal(attack.memory["captured"][0], within)
     for each in (ranges, rates):
         assert not each[:3].any()
@@ -114,7 +115,7 @@ def test_only_what_is_due_and_aligned_is_captured_and_it_stays_so():
 def test_counterfeit_errors_have_the_standard_deviations_given():
     errors = CounterfeitErrors(code_sd_m=0.3, range_rate_sd_mps=0.05, bias_sd_m=2.0)
     both = offsets(PerChannel(errors=errors), [None] * 40, receivers=300)
-    codes, rates = both[..., SEEN & WORLD.visible[ONSET + 40]]
+    codes, rates = both[..., seen() & WORLD.visible[ONSET + 40]]
     white = codes - codes.mean(axis=0)
     assert codes.mean(axis=0).std() == pytest.approx(2.0, rel=0.08)
     assert white.std() == pytest.approx(0.3, rel=0.03)

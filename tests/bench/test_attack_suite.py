@@ -27,6 +27,8 @@ from spoofgym.spoofers import SpooferContext, make_spoofer
 from spoofgym.spoofers.base import sees_statistics
 from spoofgym.spoofers.scaled import LARGEST, SMALLEST
 
+from ..lazily import Lazily
+
 
 @pytest.mark.parametrize("env", VICTIMS)
 def test_every_member_fits_every_victim_over_its_whole_range(env):
@@ -83,7 +85,7 @@ class FakePanel:
         return [attack for attack, _ in attacks]
 
 
-PANEL = FakePanel()
+PANEL = Lazily(FakePanel)
 
 
 class Halving(WorstAttacks):

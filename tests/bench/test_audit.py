@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -246,6 +247,12 @@ def test_figures_are_those_of_one_process_in_shards_and_in_several(passes, tmp_p
     assert {**found.as_dict(), "cost_us": 0.0} == {**expected.as_dict(), "cost_us": 0.0}
 
 
+@cache
+def auditor_of(task):
+    """One of the worlds of a task, which take seconds to build."""
+    return Auditor(task, "quick", entropy=0, threads=1)
+
+
 @pytest.mark.parametrize(
     ("task", "detector", "names"),
     [
@@ -256,7 +263,7 @@ def test_figures_are_those_of_one_process_in_shards_and_in_several(passes, tmp_p
     ],
 )
 def test_shipped_spoofers_that_were_made_for_a_detector_are_a_family(task, detector, names):
-    auditor = Auditor(task, "quick", entropy=0, threads=1)
+    auditor = auditor_of(task)
     assert auditor.families[-1] == module.TRAINED
     found = auditor.worlds.list_attacks(module.TRAINED, specify_detector(detector))
     assert [each.player.spec["file"] for each in found] == names

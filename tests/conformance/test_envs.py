@@ -7,10 +7,7 @@ a spec goes through JSON and makes the same environment again.
 """
 
 import json
-import os
 import pickle
-import subprocess
-import sys
 from copy import deepcopy
 from functools import cache
 
@@ -349,27 +346,6 @@ def test_a_seed_may_be_one_of_numpy(name):
 
 
 # --- processes -------------------------------------------------------------------------------
-
-SOME = ("LooselyCoupled-v0", "Zhong2025-v0", "duel_v0-aec")
-REMOTE = """
-import sys
-from spoofgym.detectors import calibrated
-from tests.golden.trajectories import cases, digest
-calibrated.DEFAULT_RATE = None  # as here
-for name in sys.argv[1:]:
-    print(digest(cases()[name]()))
-"""
-
-
-def test_trajectories_are_the_same_in_another_process():
-    """In another order, with other hashes of strings."""
-    table = trajectories.cases()
-    here = [trajectories.digest(table[name]()) for name in SOME]
-    environment = os.environ | {"PYTHONHASHSEED": "7"}
-    command = [sys.executable, "-c", REMOTE, *reversed(SOME)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == here[::-1]
 
 
 def test_processes_of_async_vector_env_after_threads_in_the_parent():

@@ -166,16 +166,26 @@ class Memorizer(Outsider):
         return [SEEN.setdefault(k, row) != row for k, row in zip(keys, rows, strict=True)]
 
 
+WAYS = (
+    *("raises", "nan", "shape", "undeclared", "leaves", "quits", "truncates", "lies"),
+    *("forks", "hangs"),
+)
+FIRST_WAY = 1000
+"""In the second innovation of all receivers: one process, which starts slowly, has all ways."""
+
+
 @dataclass
 class Fails(Outsider):
-    """Fails from its third epoch on, in one way."""
+    """Fails from its third epoch on, in one way: its setting, or what the epoch says."""
 
     how: str = "raises"
 
     def judge(self, epoch):
         verdict = super().judge(epoch)
         if self.memory["epochs"][0] >= 3:
-            return getattr(self, self.how)(epoch, verdict)
+            way = int(epoch.innovation[0, 1]) - FIRST_WAY
+            how = WAYS[way] if 0 <= way < len(WAYS) else self.how
+            return getattr(self, how)(epoch, verdict)
         return verdict
 
     def raises(self, epoch, verdict):

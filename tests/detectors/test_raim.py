@@ -1,5 +1,6 @@
 """RAIM, and searches of consistent satellites: against plain ones, and whom each of them tells."""
 
+from functools import cache
 from itertools import combinations
 
 import numpy as np
@@ -144,7 +145,11 @@ NORTH, EAST = np.cos(ELEVATION) * [np.cos(AZIMUTH), np.sin(AZIMUTH)]
 LINE_OF_SIGHT = np.column_stack([NORTH, EAST, -np.sin(ELEVATION)]) @ dcm_e_from_n(0.7, 2.0).T
 """(12, 3) in ECEF axes; satellites are 22 000 km away along them, but for the Earth's turn."""
 SATELLITE_POSITION = HERE + 2.2e7 * LINE_OF_SIGHT
-RANGE = np.array([range_and_rate(s, STILL, HERE, STILL)[0] for s in SATELLITE_POSITION])
+
+
+@cache
+def ranges():
+    return np.array([range_and_rate(s, STILL, HERE, STILL)[0] for s in SATELLITE_POSITION])
 
 
 def sky_context(receivers):
@@ -158,7 +163,7 @@ def sky_epoch(offset, visible=None):
     b = len(offset)
     blank = epoch(np.zeros((b, 2 * SATELLITES)), np.eye(2 * SATELLITES), visible)
     return blank._replace(
-        pseudorange=np.where(blank.visible, RANGE + 3e5 + offset, 0.0),
+        pseudorange=np.where(blank.visible, ranges() + 3e5 + offset, 0.0),
         satellite_position=np.tile(SATELLITE_POSITION, (b, 1, 1)),
         predicted_position=np.tile(HERE, (b, 1)),
     )

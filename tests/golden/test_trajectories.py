@@ -1,5 +1,10 @@
 """Every id does what it did when its trajectory was stored."""
 
+import os
+import subprocess
+import sys
+from functools import cache
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -19,6 +24,22 @@ ROUNDING_M = 1e-6
 """Errors of a few metres are differences of positions of 6e6 m, of which 1e-9 were 6 mm."""
 
 
+SOME = ("LooselyCoupled-v0", "Zhong2025-v0", "duel_v0-aec")
+REMOTE = """
+import sys
+from spoofgym.detectors import calibrated
+from tests.golden.trajectories import cases, digest
+calibrated.DEFAULT_RATE = None  # as here
+for name in sys.argv[1:]:
+    print(digest(cases()[name]()))
+"""
+
+
+@cache
+def played(name):
+    return trajectories.cases()[name]()
+
+
 def test_the_files_are_small_and_every_id_has_one():
     files = list(trajectories.FOLDER.iterdir())
     assert {path.stem for path in files} == set(trajectories.cases())
@@ -34,13 +55,23 @@ def test_the_default_environment_is_a_task():
 
 @pytest.mark.parametrize("name", heavy(trajectories.cases(), *LONG))
 def test_the_trajectory_is_the_stored_one(name):
-    mine, stored = trajectories.cases()[name](), trajectories.load(name)
+    mine, stored = played(name), trajectories.load(name)
     assert set(mine) >= set(stored)  # more information may be told, none may go
     for key, expected in stored.items():
         assert mine[key].dtype == expected.dtype, key
         single = expected.dtype == np.float32  # of which a last bit may fall to the other side
         relative = 1.2e-7 if single else 1e-9
         np.testing.assert_allclose(mine[key], expected, rtol=relative, atol=ROUNDING_M, err_msg=key)
+
+
+def test_trajectories_are_the_same_in_another_process():
+    """To the last bit, in another order, with other hashes of strings."""
+    here = [trajectories.digest(played(name)) for name in SOME]
+    environment = os.environ | {"PYTHONHASHSEED": "7"}
+    command = [sys.executable, "-c", REMOTE, *reversed(SOME)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == here[::-1]
 
 
 def test_the_noise_is_that_of_the_first_version():

@@ -1,6 +1,6 @@
 """The floor of the scenarios and the frontier of one world: reference values, closed forms."""
 
-import functools
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -15,12 +15,12 @@ from .toy import best_commands, deflection_of, rngs_of, unwatched
 SHORT = {"warmup_s": 30.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0}
 
 
-@functools.cache
+@cache
 def frontier(scenario, sensors_known=False):
     return compute_frontier(unwatched(scenario=scenario), sensors_known=sensors_known)
 
 
-short_setup = functools.partial(unwatched, timeline=SHORT)
+short_setup = partial(unwatched, timeline=SHORT)
 
 
 @pytest.mark.parametrize(
@@ -109,18 +109,29 @@ def test_the_frontier_is_largest_where_any_direction_counts():
         assert drawn.min() * 0.99 <= found[target].sizes()[0] <= worst * (1.0 + 1e-12)
 
 
+TWO_GRADES = {"imu": ("aviation", "tactical")}
+
+
 @pytest.mark.parametrize(
     ("setup", "asked", "said"),
     [
-        (LooselyCoupledSetup(detector="never"), {}, "tightly coupled receivers alone, not for a l"),
-        (short_setup(), {"worlds": 0}, "`worlds` must be a whole number of at least 1, got 0"),
-        (short_setup(attack="meaconer"), {}, "no floor is known for 'meaconer': it changes the m"),
-        (short_setup(domain={"imu": ("aviation", "tactical")}), {}, "one grade of inertial sens"),
+        (
+            partial(LooselyCoupledSetup, detector="never"),
+            {},
+            "tightly coupled receivers alone, not for a l",
+        ),
+        (short_setup, {"worlds": 0}, "`worlds` must be a whole number of at least 1, got 0"),
+        (
+            partial(short_setup, attack="meaconer"),
+            {},
+            "no floor is known for 'meaconer': it changes the m",
+        ),
+        (partial(short_setup, domain=TWO_GRADES), {}, "one grade of inertial sens"),
     ],
 )
 def test_other_victims_and_wrong_settings_are_refused(setup, asked, said):
     with pytest.raises(ValueError, match=said):
-        compute_frontier(setup, **asked)
+        compute_frontier(setup(), **asked)
 
 
 EAST, NORTH = np.eye(2)[::-1]
@@ -128,7 +139,7 @@ LINE = {"warmup_s": 40.0, "live_s": 10.0, "attack_s": 30.0, "time_to_alert_s": 5
 RNG = np.random.default_rng(7)
 
 
-@functools.cache
+@cache
 def short_frontier(attack="false-position"):
     return compute_frontier(unwatched(attack=attack, timeline=LINE)).one
 

@@ -14,7 +14,9 @@ from spoofgym.receiver.loose import LooselyCoupled, LooseReceivers
 from spoofgym.receiver.loose_states import STATES, fill_local_axes
 from spoofgym.truth.run import flown_world
 
-WORLD = flown_world("shadmehri2025", 0.1)
+from ..lazily import Lazily
+
+WORLD = Lazily(flown_world, "shadmehri2025", 0.1)
 ARCSEC = np.pi / 180.0 / 3600.0
 BIASES = np.repeat([0.01 * ARCSEC, 100e-6 * 9.80665], 3)
 SD = np.array([2.0, 1.0, 3.0])

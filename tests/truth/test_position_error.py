@@ -7,7 +7,9 @@ from spoofgym.truth._kernels import first_errors, measure_loose
 from spoofgym.truth.gnss_errors import PositionErrors
 from spoofgym.truth.run import InertialErrors, flown_world
 
-WORLD = flown_world("shadmehri2025", 0.1)
+from ..lazily import Lazily
+
+WORLD = Lazily(flown_world, "shadmehri2025", 0.1)
 
 
 def measured(decay, receivers=300, epochs=30):

@@ -10,6 +10,8 @@ from spoofgym.truth.flight import flight_from_velocity, inverse_kinematics
 from spoofgym.truth.run import build_world, make_sky
 from spoofgym.truth.satellites import CircularConstellation, SatelliteStates
 
+from ..lazily import Lazily
+
 STEP = 0.1
 MASK = math.radians(10.0)
 
@@ -24,7 +26,7 @@ def trajectory(duration, step):
     )
 
 
-EAST, LONG = trajectory(10.0, STEP), trajectory(1800.0, 1.0)
+EAST, LONG = Lazily(trajectory, 10.0, STEP), Lazily(trajectory, 1800.0, 1.0)
 
 
 @pytest.fixture(scope="module")
