@@ -222,7 +222,7 @@ def audit_detectors(texts: list[str], options: AuditOptions) -> Audited:
     from ..bench.experiments.audit import Auditor
     from ..bench.experiments.log_audit import LogAuditor
     from ..bench.report.audit import format_screen
-    from ..bench.report.detector_page import build_scores_page, replay_worst
+    from ..bench.report.detector_page import build_scores_page, replay_worst_attack
     from ..bench.report.page import load_replay, store_replay, write_page
 
     specs, found, written = opt.parse_specs(texts), [], []
@@ -251,7 +251,9 @@ def audit_detectors(texts: list[str], options: AuditOptions) -> Audited:
             scores, store = {"detectors": [each.as_dict() for each in own]}, stores[-1]
             if isinstance(auditor, Auditor):
                 families = own[-1].score.families
-                store_replay(store, replay_worst(auditor, cells.detectors[0].player, families))
+                store_replay(
+                    store, replay_worst_attack(auditor, cells.detectors[0].player, families)
+                )
             page = build_scores_page(store, scores, load_replay(store))
             written.append(write_page(store, page)[-1])
         found += own

@@ -79,7 +79,9 @@ def build_scores_page(
     )
 
 
-def replay_worst(plan: AuditPlan, detector: PlayerSpec, families: Sequence[FamilyScore]) -> Row:
+def replay_worst_attack(
+    plan: AuditPlan, detector: PlayerSpec, families: Sequence[FamilyScore]
+) -> Row:
     """The run in which the worst attack in the task's own world gets farthest, played again, as
     `record_replay` has it; empty where all of its families are of other worlds."""
     aim, task = Aim(MEASURES[0], SHARES[0]), plan.task
