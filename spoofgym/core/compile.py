@@ -15,6 +15,7 @@ against others the folder has to be this user's own, as the files are unpickled.
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import math
 import os
@@ -108,6 +109,18 @@ def unify(kind: Any) -> Any:
     return kind.copy(readonly=False) if read_only else kind
 
 
+@contextmanager
+def _rare_collection() -> Iterator[None]:
+    """Python's collector looks rarely at what a compilation makes, most of which stays until its
+    end: 6 % less time."""
+    before = gc.get_threshold()
+    gc.set_threshold(*(max(each) for each in zip(before, COLLECT_AFTER, strict=True)))
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+
+
 class Function(CPUDispatcher):  # type: ignore[misc]
     """A compiled function: for Python, or as a part of other compiled functions, or both."""
 
@@ -159,7 +172,8 @@ class Function(CPUDispatcher):  # type: ignore[misc]
             found = self.overloads.get(unified)
             if found is not None and is_part(found):
                 del self.overloads[unified]
-            code = super().compile(unified if unified != tuple(args) else sig)
+            with _rare_collection():
+                code = super().compile(unified if unified != tuple(args) else sig)
             if unified != tuple(args):
                 self._insert([kind._code for kind in args], code, False)
             return code
@@ -181,6 +195,7 @@ FOUNDATION = ("core/compile.py", "core/simd.py", "core/lanes.py")  # code of any
 MAX_DIGESTS = 16
 MIN_AGE_S = 86_400.0  # least age of code that is pruned: what began to use it may still add to it
 CHECKSUM_SIZE = 16
+COLLECT_AFTER = 50_000, 20, 1000  # objects, and collections of the younger ones
 NOTICE_S = 2.0
 NOTICE = (
     "spoofgym: compiling {} for this machine, once; about a minute, of which `spoofgym warmup` "
