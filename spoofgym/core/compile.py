@@ -46,6 +46,8 @@ from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined
 from numba.core.registry import CPUDispatcher
 from numba.core.types import Array
 from numba.core.types.misc import unliteral
+
+# NumPy has no public name for the kind of processor that its loops run on.
 from numpy._core._multiarray_umath import (  # type: ignore[import-not-found]
     __cpu_features__,
 )
