@@ -86,7 +86,7 @@ def compare(quick: DetectorScore, standard: DetectorScore) -> Iterator[Row]:
             "figure": name,
             **{f"quick_{x}": getattr(one, x) for x in ("value", "low", "high")},
             **{f"standard_{x}": getattr(others[name], x) for x in ("value", "low", "high")},
-            "contains": bool(one.low <= value <= one.high),
+            "contains": bool(one.low <= value and not value > one.high),
         }
 
 

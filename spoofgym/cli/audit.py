@@ -149,8 +149,8 @@ def audit_(
 ) -> None:
     """Say what the worst attack known does to a detector, and how sure that is; resumable.
 
-    It is calibrated to 0.2 false alarms an hour first, unless it requests another rate and where
-    that has not been done.  The last line is the answer.
+    It is first calibrated to the rate that it requests, 0.2 false alarms an hour by default,
+    unless that is done.  The last line is the answer.
 
     Examples: `spoofgym audit my_module:MyDetector --budget quick`;
     `spoofgym audit ewma:smoothing=0.2 --task D1 --task D2`;

@@ -35,19 +35,18 @@ def bench(
         list[str] | None,
         Option(
             help="Detector, may be repeated; `all` for all that suit the victim. Default: the "
-            "twelve of the standard suite, or with options of the world those that suit its "
-            "victim, and the negative controls never and lottery, which in the default world play "
-            f"beside your own, too. {opt.SPEC_HELP}"
+            "twelve of the standard suite; in another world those that suit its victim, with the "
+            "controls never and lottery. In the default world both controls always play. "
+            f"{opt.SPEC_HELP}"
         ),
     ] = None,
     spoofer: Annotated[
         list[str] | None,
         Option(
             help="Spoofer, may be repeated. One setting is fitted to the alarm budget: that which "
-            "is `tuned`, as in step:size_m=tuned, the rate of a plain ramp, and else the amplitude "
-            "of all that it commands, unless one is given, as in step:amplitude=1. A shipped "
-            "spoofer by its name, a learned one by its .onnx file. Default: ramp, "
-            "accelerating-ramp, open-loop and feedback; with options of the world none, step, "
+            "is `tuned` (step:size_m=tuned), the rate of a plain ramp, or else the amplitude. With "
+            "step:amplitude=1 nothing is fitted. A shipped spoofer by its name, a learned one by "
+            "its .onnx file. Default: ramp, accelerating-ramp, open-loop and feedback; with options of the world none, step, "
             "ramp, accelerating-ramp, open-loop, and the shipped ones that fit."
         ),
     ] = None,

@@ -82,7 +82,7 @@ Budget = Annotated[
     str,
     Option(
         help="How much is played: quick, standard or full. It scales tuning, searches and runs "
-        "that are scored; options for one of them come before it."
+        "that are scored; an option for one of them overrides it."
     ),
 ]
 Runs = Annotated[
@@ -224,7 +224,9 @@ class WorldOptions:
         help="Clean run before the attack, in seconds. The defaults of the times are those of the "
         "environment.",
     )
-    live_s: float | None = Option(None, help="Its last part, with the detectors live, in seconds.")
+    live_s: float | None = Option(
+        None, help="Last part of the warm-up, with the detectors live, in seconds."
+    )
     attack_s: float | None = Option(None, help="Command phase of the attack, in seconds.")
     time_to_alert_s: float | None = Option(
         None,

@@ -114,6 +114,8 @@ def test_figures_are_found_by_the_names_of_detectors_and_families():
     unknown = {"value": None, "low": None, "high": None}
     (figure,) = compare_figures({"x": 1.0}, {"x": unknown})
     assert not figure.holds
+    few = {"value": 3.0, "low": 2.0, "high": None}  # runs: nothing bounds it above
+    assert [next(compare_figures({"x": x}, {"x": few})).holds for x in (1.9, 9.0)] == [False, True]
     with pytest.raises(ValueError, match="no figure 'cusum'; valid: ewma"):
         [*compare_figures({"detectors": {"cusum": 1.0}}, found)]
     with pytest.raises(ValueError, match="no figure 'runs' with an interval"):

@@ -17,7 +17,7 @@ from spoofgym.bench.runs.record import (
 from spoofgym.bench.scores.campaign import compare_controls, score_protection
 from spoofgym.bench.scores.detector import FamilyScore
 from spoofgym.bench.scores.exceeded import estimate_exceeded
-from spoofgym.bench.scores.statistics import draw_resamples
+from spoofgym.bench.scores.statistics import draw_resamples, interval
 from spoofgym.bench.search.attack_suite import list_aims
 
 FIRST, TOTAL = MEASURES[0], "undetected_total_m"
@@ -142,6 +142,20 @@ def test_the_interval_of_an_exceeded_displacement_is_that_of_its_resamples():
     assert found.high == pytest.approx(found.value + spread, abs=0.5 * spread)
     none = protected("x", x, np.zeros(400, dtype=np.bool_))
     assert np.isnan(estimate_exceeded(none, Aim(FIRST, 0.5), np.zeros((9, 0))).value)
+
+
+@pytest.mark.parametrize(("runs", "bounded"), [(71, False), (72, True)])
+def test_few_runs_have_no_upper_end_of_what_a_twentieth_exceeds(runs, bounded):
+    """All 71 lie below the 95 % quantile with a chance of 0.95^71 = 2.6 %; of 72, of 2.5 %."""
+    x = np.random.default_rng(3).exponential(10.0, runs)
+    attacks, samples = (
+        of_winners(winner("x", [Aim(FIRST, 0.05)], x)),
+        draw_resamples(np.arange(runs)),
+    )
+    found = estimate_exceeded(attacks, Aim(FIRST, 0.05), samples)
+    assert found.low < found.value
+    assert np.isfinite(found.high) == bounded
+    assert interval(found.as_json()).endswith("or more)") != bounded
 
 
 def at_values(values, alarm_amplitude, share):

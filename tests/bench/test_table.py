@@ -37,7 +37,7 @@ def test_a_column_takes_a_key_or_a_function_and_a_form(capsys):
     (row,) = (line for line in lines if line.strip().startswith("never"))
     assert row.index("-") == lines[1].index("]")  # at the right
     estimate = {"value": 0.5, "low": 0.25, "high": None, "confidence": 0.95}
-    assert percent(estimate) == "50.0 (25.0 to ?)"
+    assert percent(estimate) == "50.0 (25.0 or more)"
     assert percent({"value": None, "low": None, "high": None}) == "-"
     assert [metres(x) for x in (None, "unbounded", 12.34)] == ["-", "unbounded", "12.3"]
     with pytest.raises(UndefinedError):  # what a template lacks

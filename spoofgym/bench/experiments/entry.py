@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal, NamedTuple
@@ -87,9 +88,10 @@ class Figure(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        if self.low is None or self.high is None:
+        if self.low is None:
             return False
-        return (1.0 - ROUNDING) * self.low <= self.claimed <= (1.0 + ROUNDING) * self.high
+        high = math.inf if self.high is None else self.high
+        return (1.0 - ROUNDING) * self.low <= self.claimed <= (1.0 + ROUNDING) * high
 
 
 def compare_figures(claimed: Any, found: Any, name: str = "") -> Iterator[Figure]:

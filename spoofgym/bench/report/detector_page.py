@@ -47,8 +47,6 @@ FAMILIES = Table(
     ("runs that count", "counted"),
 )
 
-FEWEST_RUNS = 72
-"""Runs whose largest is beyond what 5 % of all exceed, but for one case in 40."""
 UNSCORED = "There are no scores yet: the command that plays them goes on."
 
 
@@ -144,12 +142,12 @@ def write_score_verdict(record: Row) -> list[str]:
         if other := record["reference"]:
             moved = interval(other["exceeded_m"]["0.5"])
             lines.append(f"Against {other['detector']}, the best non-learned one, it is {moved} m.")
-    few_runs = record["runs"] < FEWEST_RUNS
+    few_runs = record["exceeded_m"]["0.05"]["high"] is None
     return [
         *lines,
         *(f"Warning: {text}." for text in record.get("warnings", [])),
         f"{record['runs']} runs of every family, attacks chosen on {record['selection_runs']} "
-        f"others{', too few to say much of 5 % of them' if few_runs else ''}; in brackets 95 % "
+        f"others{', too few to bound what 5 % exceed' if few_runs else ''}; in brackets 95 % "
         "intervals. Another attack may reach more.",
     ]
 

@@ -14,19 +14,22 @@ farthest runs M and M',
 
 .. math:: P_t(D > d) = (1 - t) P(D (M' / M)^t > d) + t P(D' (M / M')^{1 - t} > d)
 
-The figure itself is that of an attack that was played.
+The figure itself is that of an attack that was played.  Few runs have no upper end: where all of
+them lie below the quantile with a chance of over 2.5 %, (1 - share)^R', as with less than 72 runs
+for a share of 5 %.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 from itertools import groupby, pairwise
 
 import numpy as np
 
 from ..runs.record import Aim, Mask, Protection, Winner
-from .statistics import NOTHING, Estimate, FloatArray, largest_of_share, percentiles
+from .statistics import CONFIDENCE, NOTHING, Estimate, FloatArray, largest_of_share, percentiles
 
 PARTS = np.arange(1, 8) / 8.0  # of the way between two values of a setting
 Between = tuple[FloatArray, FloatArray, float]
@@ -34,17 +37,21 @@ Between = tuple[FloatArray, FloatArray, float]
 
 
 def estimate_exceeded(found: Protection, aim: Aim, samples: FloatArray) -> Estimate:
-    """What the worst attack exceeds in the share of an aim [m], with its 95 % interval. `samples`
-    (S, R') bootstrap samples of the runs that the aim is about."""
+    """What the worst attack exceeds in the share of an aim [m], with its 95 % interval, whose upper
+    end is NaN where the runs are too few for one. `samples` (S, R') bootstrap samples of the runs
+    that the aim is about."""
     rows = found.rows(aim)
     if not rows.any():
         return NOTHING
+    assert aim.share is not None  # as chosen by the caller
     value = found.score_worst(aim)
     drawn = draw_exceeded(found, aim, rows, samples)
     most = np.maximum(drawn, value)
     for between in _list_between(found.winners, aim, rows, value):
         np.maximum(most, _draw_between(between, aim, samples, value), out=most)
-    return Estimate(value, percentiles(value, drawn).low, percentiles(value, most).high)
+    bounded = (1.0 - aim.share) ** rows.sum() <= 0.5 * (1.0 - CONFIDENCE)
+    high = percentiles(value, most).high if bounded else math.nan
+    return Estimate(value, percentiles(value, drawn).low, high)
 
 
 def draw_exceeded(found: Protection, aim: Aim, rows: Mask, samples: FloatArray) -> FloatArray:

@@ -32,7 +32,7 @@ RESAMPLES = 2000
 
 class Estimate(NamedTuple):
     """A number and the interval around it. `value`, `low`, `high`: estimate and interval; NaN where
-    there is nothing to estimate from."""
+    there is nothing to estimate from, and `high` alone where nothing bounds it."""
 
     value: float
     low: float
@@ -70,7 +70,8 @@ def interval(estimate: Mapping[str, float | None], digits: int | None = None) ->
     if digits is None:
         digits = _digits(max((abs(end) for end in ends if end is not None), default=abs(value)))
     low, high = ("?" if end is None else f"{end:.{digits}f}" for end in ends)
-    return f"{value:.{digits}f} ({low} to {high})"
+    where = f"{low} or more" if ends[0] is not None and ends[1] is None else f"{low} to {high}"
+    return f"{value:.{digits}f} ({where})"
 
 
 def _digits(size: float) -> int:
