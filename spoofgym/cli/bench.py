@@ -46,9 +46,9 @@ def bench(
             help="Spoofer, may be repeated. One setting is fitted to the alarm budget: that which "
             "is `tuned` (step:size_m=tuned), the rate of a plain ramp, or else the amplitude. With "
             "step:amplitude=1 nothing is fitted. A shipped spoofer by its name, a learned one by "
-            "its .onnx file. Default: ramp, accelerating-ramp, open-loop and feedback; with options "
-            "of the world none, step, ramp, accelerating-ramp, open-loop, and the shipped ones that "
-            "fit."
+            "its .onnx file. Default: ramp, accelerating-ramp, open-loop and feedback; with "
+            "options of the world none, step, ramp, accelerating-ramp, open-loop, and the shipped "
+            "ones that fit."
         ),
     ] = None,
     budget: opt.Budget = "standard",

@@ -340,6 +340,11 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         info["_final_info"] = over.copy()
         return self.core.observe(), result.reward, result.terminated, result.truncated, info
 
+    @property
+    def over(self) -> NDArray[np.bool_]:
+        """Receivers whose episodes are over, (B,)."""
+        return self._over
+
     def end_episodes(self, mask: NDArray[np.bool_]) -> None:
         """Take the episodes of some receivers, (B,), as over: a wrapper around this ends them."""
         self._over |= mask

@@ -186,6 +186,11 @@ class AlarmRecorder(Wrapper):
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         result = super().step(actions)
         over = result[2] | result[3]
+        if (on := np.flatnonzero(over & ~self.unwrapped.over)).size:  # type: ignore[attr-defined]
+            raise ValueError(
+                f"a wrapper ends the episodes of receivers {', '.join(map(str, on))}, which fly "
+                "on: it has to call env.unwrapped.end_episodes(mask), (B,) bool, too"
+            )
         for row in range(self.num_envs):
             now = select_row(result[4], row)
             if self._over[row]:

@@ -217,6 +217,14 @@ def test_what_can_not_be_scored_is_refused():
         evaluate_wrapped(Wrong(EpochInfo(bare(), ())), 2)
 
 
+class EndsAlone(gym.vector.VectorWrapper):
+    """Ends episodes without a word to the environment."""
+
+    def step(self, actions):
+        observation, reward, terminated, *rest = super().step(actions)
+        return observation, reward, np.ones_like(terminated), *rest
+
+
 def test_alarms_are_recorded_over_episodes():
     alarm = AlarmAt(30)  # ten epochs after the onset
     env = AlarmRecorder(gym.make(ID, detector=alarm, timeline=SHORT))
@@ -236,6 +244,10 @@ def test_alarms_are_recorded_over_episodes():
         envs.step([[0.0], [1.0]])
     both = envs.alarms.summarize()
     assert (both.clean, both.attacked, both.delay_s.value) == (2, 2, 5.0)
+    fly_on = vector.AlarmRecorder(EndsAlone(envs.env))
+    fly_on.reset(seed=3)
+    with pytest.raises(ValueError, match=r"receivers 0, 1, which fly on: .*end_episodes\(mask\)"):
+        fly_on.step([[0.0], [1.0]])
     wrong = AlarmRecorder(Wrong(bare(), alarm=1))
     wrong.reset(seed=0)
     with pytest.raises(ValueError, match=r"'alarm'. must be boolean, True at an alarm; got 1"):
