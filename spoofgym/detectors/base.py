@@ -117,8 +117,8 @@ class Detector(ABC):
     """A detector with memory of B receivers; it knows no truth, no clock time and no chance.
 
     A subclass declares its arrays in `bind` (``self.memory.declare(name, initial)``, with a leading
-    axis of receivers) and keeps nothing else from one epoch to the next: then reset (a run starts), batches, and
-    episodes that move from one batch to another need no further code.
+    axis of receivers) and keeps nothing else from one epoch to the next: then reset (when a run
+    starts), batches, and episodes that move between batches need no further code.
 
     Attributes
     ----------
