@@ -52,6 +52,15 @@ def test_every_member_fits_every_victim_over_its_whole_range(env):
     assert all("oracle" in FAMILIES[letter] for letter in ORACLES)
 
 
+def test_every_member_fits_an_action_that_requests_less_than_the_limits():
+    """As in the README's example, whose policies request at most 1 m/s."""
+    settings = {"scenario": "zhong2025", "control": "rate", "basis": "rotated"}
+    world = World.of(settings={**settings, "receiver": None, "timeline": None, "domain": None})
+    assert world.context.largest_rate[1] < world.context.rate_limit_mps
+    fitting = list_fitting_attacks(world.setup, world.context)
+    assert "b" in {member.letter for member in fitting}
+
+
 def test_the_digest_follows_the_members_and_profiles_are_smooth_and_within_the_limits():
     setup = make_setup(VICTIMS["spoofgym/Zhong2025-v0"].setup, {"detector": "never"})
     context = spoofer_context(setup)

@@ -137,7 +137,7 @@ def build_grid(member: SuiteAttack, context: SpooferContext, values: int) -> lis
 
 def _profile(name: str, context: SpooferContext) -> Spec:
     """A curve of the rate by its shape."""
-    most = context.rate_limit_mps
+    most = context.largest_rate[1]
     if context.control == "acceleration":
         window_s = context.steps * context.interval_s
         most = min(most, STEEPEST * context.acceleration_limit_mps2 * window_s)
