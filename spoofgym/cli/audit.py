@@ -27,8 +27,7 @@ class AuditOptions:
     """Options of an audit of either side."""
 
     task: Annotated[
-        list[str] | None,
-        Option(help="Task for detectors, D1 to D3, may be repeated. Default: D1."),
+        list[str] | None, Option(help="Task for detectors, D1 to D3, may be repeated. Default: D1.")
     ] = None
     budget: Annotated[
         str | None,
@@ -73,8 +72,7 @@ class AuditOptions:
         Option(help="With --log: error that must not be exceeded unnoticed, in m. Default: 30."),
     ] = None
     attack_s: Annotated[
-        float | None,
-        Option(help="With --log: length of an attack, in seconds. Default: 150."),
+        float | None, Option(help="With --log: length of an attack, in seconds. Default: 150.")
     ] = None
     time_to_alert_s: Annotated[
         float | None,

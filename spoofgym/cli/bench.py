@@ -69,8 +69,7 @@ def bench(
     verbose: Verbose = False,
     options: SuiteOptions,
     alarm_budget: Annotated[
-        float,
-        Option(help="Share of runs, silent without the attack, that may alarm; see --rule."),
+        float, Option(help="Share of runs, silent without the attack, that may alarm; see --rule.")
     ] = 0.05,
     training_runs: Annotated[
         int | None,
@@ -137,10 +136,7 @@ def bench(
         spoofers=list(map(add_tuned_setting, spoofers)) or None,
         runs=size.runs,
         tuning=make_tuning(
-            size.training_runs,
-            alarm_budget,
-            rule=rule or get_rule(task),
-            quick=size.quick,
+            size.training_runs, alarm_budget, rule=rule or get_rule(task), quick=size.quick
         ),
         selection=make_selection(size.selection_runs),
         floor_worlds=size.floor_worlds,

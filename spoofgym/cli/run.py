@@ -40,8 +40,7 @@ def run(
     ] = Path("episode.png"),
     picture: Annotated[bool, Option(help="Draw the picture.")] = True,
     fps: Annotated[
-        float,
-        Option(help="Frames of an animation a second; 2 is real time with epochs of 0.5 s."),
+        float, Option(help="Frames of an animation a second; 2 is real time with epochs of 0.5 s.")
     ] = 25.0,
     every: Annotated[int, Option(min=1, help="A frame for every so many epochs.")] = 1,
     as_json: opt.Json = False,

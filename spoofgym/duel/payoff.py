@@ -52,10 +52,7 @@ class Weighted:
         default=100.0, least=0.0, help="Price of an alarm in a clean episode, or before the onset."
     )
     delay_per_s: float = setting(
-        default=0.1,
-        least=0.0,
-        unit="1/s",
-        help="Price of a second under attack without an alarm.",
+        default=0.1, least=0.0, unit="1/s", help="Price of a second under attack without an alarm."
     )
     error_per_m: float = setting(
         default=1.0,

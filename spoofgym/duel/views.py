@@ -27,13 +27,7 @@ from ..simulation.monitors import FloatArray, PastPositions
 from ..simulation.tight import TightlyCoupledSetup
 from ..spoofers.build import SpooferSpec
 from .duel import SETTINGS, default_opponent, make_duel, refuse_to_draw, with_world
-from .opponents import (
-    DetectorSpec,
-    SpooferPool,
-    label_opponent,
-    list_opponents,
-    pooled_detector,
-)
+from .opponents import DetectorSpec, SpooferPool, label_opponent, list_opponents, pooled_detector
 
 DetectorPool = Sequence[DetectorSpec] | DetectorSpec
 SpooferPoolSpec = Sequence[SpooferSpec] | SpooferSpec

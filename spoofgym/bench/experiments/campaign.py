@@ -36,13 +36,7 @@ from ..scores.campaign import (
 )
 from ..scores.scores import SHARES
 from ..search.amplitude import TuningResult, search_work, with_rates
-from ..search.attack_suite import (
-    BESIDE,
-    SuiteAttack,
-    WorstAttacks,
-    expected_plays,
-    play_winners,
-)
+from ..search.attack_suite import BESIDE, SuiteAttack, WorstAttacks, expected_plays, play_winners
 from ..search.open_loop import Optima, fit
 from .runner import Context, Experiment, run_experiment
 from .store import OUTPUTS, Cell, Reader, Result, Store

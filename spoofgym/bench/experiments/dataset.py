@@ -154,8 +154,7 @@ class Plan(Experiment):
         help="Rates of optimized open-loop attacks at their knots; none leaves that family out.",
     )
     spoofers: Sequence[Spec] = setting(
-        default=(),
-        help='Further spoofers by name and settings, such as ``{"name": "mine.onnx"}``.',
+        default=(), help='Further spoofers by name and settings, such as ``{"name": "mine.onnx"}``.'
     )
     runs: Mapping[str, int] = setting(
         default_factory=lambda: dict(RUNS),

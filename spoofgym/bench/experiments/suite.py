@@ -279,13 +279,7 @@ class Suite:
             "alert_limit_m": float(self.alert_limit_m),
             "alert_limits_m": list(ALERT_LIMITS_M),
             **({} if self.floor_worlds is None else {"floor_worlds": self.floor_worlds}),
-            "notes": [
-                *self.notes,
-                *self.captions,
-                *self._oracle_notes,
-                *self.left_out,
-                *unknown,
-            ],
+            "notes": [*self.notes, *self.captions, *self._oracle_notes, *self.left_out, *unknown],
         }
 
     @cached_property

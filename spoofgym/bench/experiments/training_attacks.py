@@ -19,11 +19,7 @@ from ...core.registry import Spec
 from ...envs.context import apply_pace, spoofer_context
 from ...envs.observer import Observer
 from ...envs.options import checked_action
-from ...envs.spoofer_binding import (
-    bound_spoofer,
-    make_command_map,
-    monitors_for,
-)
+from ...envs.spoofer_binding import bound_spoofer, make_command_map, monitors_for
 from ...envs.terms.action import CommandMap, Decisions
 from ...envs.terms.observation import default_terms
 from ...simulation.engine import Engine

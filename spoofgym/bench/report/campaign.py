@@ -28,16 +28,7 @@ from ..scores.campaign import (
 )
 from ..scores.statistics import Estimate
 from ..search.attack_suite import ORACLES
-from .table import (
-    Table,
-    format_number,
-    interval,
-    metres,
-    percent,
-    render_template,
-    share,
-    yes_no,
-)
+from .table import Table, format_number, interval, metres, percent, render_template, share, yes_no
 
 Row = dict[str, Any]
 ORACLE = " (oracle)"

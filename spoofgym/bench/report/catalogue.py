@@ -129,7 +129,7 @@ def _mark_summary(row: Mapping[str, Any]) -> str:
 NOTES = {
     "scenarios": "The detector of spoofgym/Zhong2025-v0, ewma, has shipped thresholds in zhong2025 "
     "alone. In another scenario give --detector never or --nominal, or run `spoofgym calibrate "
-    "--scenario NAME --detector ewma` first.",
+    "--scenario NAME --detector ewma` first."
 }
 """What is said below a table."""
 LONGEST = 14

@@ -17,12 +17,7 @@ from .campaign import OVER, attack_of_suite, bound_text, format_spoofer
 from .table import Table, format_number, interval, metres, percent, share
 
 Card = dict[str, Any]
-SCORES = {
-    "ramp": "blind",
-    "accelerating-ramp": "blind",
-    "open-loop": "blind",
-    "feedback": "oracle",
-}
+SCORES = {"ramp": "blind", "accelerating-ramp": "blind", "open-loop": "blind", "feedback": "oracle"}
 """Spoofers with known scores, each fitted to the alarm budget, and what they observe."""
 FIGURES = {
     "p_hmi": "P(HMI) [%]",

@@ -59,10 +59,7 @@ def near_switch(setup: Setup) -> Mask:
     return near.ravel()
 
 
-CONDITIONS: dict[str, Callable[[Setup], Mask]] = {
-    "turn": turning,
-    "satellite-switch": near_switch,
-}
+CONDITIONS: dict[str, Callable[[Setup], Mask]] = {"turn": turning, "satellite-switch": near_switch}
 """Conditions on the onset that follow from the world alone."""
 
 

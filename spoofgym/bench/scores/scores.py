@@ -33,12 +33,7 @@ from scipy import stats
 
 from ...detectors.calibration_file import hourly_rate
 from ..runs.record import Mask
-from .statistics import (
-    CONFIDENCE,
-    Estimate,
-    FloatArray,
-    alarm_limit,
-)
+from .statistics import CONFIDENCE, Estimate, FloatArray, alarm_limit
 
 SHARES = (0.5, 0.05)  # shares of the runs in which the headlines' displacements are exceeded
 WORST_SKIES = 0.1  # part of the skies from which an attacker picks the day

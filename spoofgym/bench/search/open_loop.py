@@ -45,14 +45,7 @@ from ..runs.record import MEASURES
 from ..scores.at_budget import score_best
 from ..scores.statistics import aim
 from .alarm_amplitude import tune_at_budget
-from .amplitude import (
-    EXACT,
-    Tuning,
-    TuningResult,
-    search_work,
-    tune_amplitude,
-    with_rates,
-)
+from .amplitude import EXACT, Tuning, TuningResult, search_work, tune_amplitude, with_rates
 from .backends import Backend, EngineBackend, ReplayBackend, Rows
 from .bounds import DisplacementBounds
 
@@ -98,9 +91,7 @@ class OpenLoopSearch:
     knots: int = setting(default=12, least=2, most=MOST_KNOTS, help="Knots of the curve.")
     population: int = setting(default=12, least=4, help="Size of a generation of CMA-ES.")
     generations: int = setting(
-        default=60,
-        least=0,
-        help="Generations of CMA-ES; 0 for the best of the first curves.",
+        default=60, least=0, help="Generations of CMA-ES; 0 for the best of the first curves."
     )
     seed: int = setting(default=0, least=0, help="Seed of the search.")
 
