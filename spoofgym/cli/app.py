@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, ParamSpec, TextIO, TypeVar
+from typing import Any, NoReturn, ParamSpec, TextIO, TypeVar
 
 import typer
 from typer import Option
@@ -78,7 +78,7 @@ def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
 
 
 @app.callback(invoke_without_command=True)
-def _main(version: Annotated[bool, Option("--version", help="Print the version.")] = False) -> None:
+def _main(version: bool = Option(False, "--version", help="Print the version.")) -> None:
     """GNSS spoofing and its detection as a game: a benchmark, for defence research."""
     if version:
         from .. import __version__

@@ -31,80 +31,64 @@ Verbose = Annotated[
 def bench(
     *,
     task: opt.Task = None,
-    detector: Annotated[
-        list[str] | None,
-        Option(
-            help="Detector, may be repeated; `all` for all that suit the victim. Default: the "
-            "twelve of the standard suite, or with options of the world those that suit its "
-            "victim, and the negative controls never and lottery, which in the default world play "
-            f"beside your own, too. {opt.SPEC_HELP}"
-        ),
-    ] = None,
-    spoofer: Annotated[
-        list[str] | None,
-        Option(
-            help="Spoofer, may be repeated. One setting is fitted to the alarm budget: that which "
-            "is `tuned`, as in step:size_m=tuned, the rate of a plain ramp, and else the amplitude "
-            "of all that it commands, unless one is given, as in step:amplitude=1. A shipped "
-            "spoofer by its name, a learned one by its .onnx file. Default: ramp, "
-            "accelerating-ramp, open-loop and feedback; with options of the world none, step, "
-            "ramp, accelerating-ramp, open-loop, and the shipped ones that fit."
-        ),
-    ] = None,
+    detector: list[str] | None = Option(
+        None,
+        help="Detector, may be repeated; `all` for all that suit the victim. Default: the "
+        "twelve of the standard suite, or with options of the world those that suit its "
+        "victim, and the negative controls never and lottery, which in the default world play "
+        f"beside your own, too. {opt.SPEC_HELP}",
+    ),
+    spoofer: list[str] | None = Option(
+        None,
+        help="Spoofer, may be repeated. One setting is fitted to the alarm budget: that which "
+        "is `tuned`, as in step:size_m=tuned, the rate of a plain ramp, and else the amplitude "
+        "of all that it commands, unless one is given, as in step:amplitude=1. A shipped "
+        "spoofer by its name, a learned one by its .onnx file. Default: ramp, "
+        "accelerating-ramp, open-loop and feedback; with options of the world none, step, "
+        "ramp, accelerating-ramp, open-loop, and the shipped ones that fit.",
+    ),
     budget: opt.Budget = "standard",
     runs: opt.Runs = None,
-    out: Annotated[Path, Option(help="Folder of the results.")] = Path("results"),
-    overwrite: Annotated[
-        bool, Option("--overwrite", help="Replace the results of another campaign.")
-    ] = False,
-    fit_only: Annotated[
-        bool,
-        Option(
-            "--fit-only",
-            help="Fit spoofers to the alarm budget, print what was tried, and play no more; the "
-            "same command without it goes on from there.",
-        ),
-    ] = False,
+    out: Path = Option(Path("results"), help="Folder of the results."),
+    overwrite: bool = Option(False, "--overwrite", help="Replace the results of another campaign."),
+    fit_only: bool = Option(
+        False,
+        "--fit-only",
+        help="Fit spoofers to the alarm budget, print what was tried, and play no more; the "
+        "same command without it goes on from there.",
+    ),
     as_json: opt.Json = False,
     verbose: Verbose = False,
     options: SuiteOptions,
-    alarm_budget: Annotated[
-        float, Option(help="Share of runs, silent without the attack, that may alarm; see --rule.")
-    ] = 0.05,
-    training_runs: Annotated[
-        int | None,
-        Option(
-            min=2,
-            max=opt.LARGEST_RUNS,
-            help="Training runs for tuned spoofers; they share no noise with the evaluation runs.",
-        ),
-    ] = None,
-    rule: Annotated[
-        str | None,
-        Option(
-            help="How amplitudes are fitted to the alarm budget: exact, on the evaluation runs, "
-            "with intervals that include the fit, or upper-limit, a pass mark, by the upper 95 % "
-            "limit of the alarm rate on the training runs. Default: exact, and upper-limit in a "
-            "task of the first suite."
-        ),
-    ] = None,
-    nominal: Annotated[
-        bool,
-        Option(
-            "--nominal",
-            help="Use the published thresholds without calibration. Detectors are then not "
-            "comparable, because their false-alarm rates differ.",
-        ),
-    ] = False,
-    selection_runs: Annotated[
-        int | None,
-        Option(
-            min=0,
-            max=opt.LARGEST_RUNS,
-            help="Runs on which the worst attack of the attack suite is chosen; 0 to leave the "
-            "protection out.",
-        ),
-    ] = None,
+    alarm_budget: float = Option(
+        0.05, help="Share of runs, silent without the attack, that may alarm; see --rule."
+    ),
+    training_runs: int | None = Option(
+        None,
+        min=2,
+        max=opt.LARGEST_RUNS,
+        help="Training runs for tuned spoofers; they share no noise with the evaluation runs.",
+    ),
+    rule: str | None = Option(
+        None,
+        help="How amplitudes are fitted to the alarm budget: exact, on the evaluation runs, "
+        "with intervals that include the fit, or upper-limit, a pass mark, by the upper 95 % "
+        "limit of the alarm rate on the training runs. Default: exact, and upper-limit in a "
+        "task of the first suite.",
+    ),
+    nominal: bool = Option(
+        False,
+        "--nominal",
+        help="Use the published thresholds without calibration. Detectors are then not "
+        "comparable, because their false-alarm rates differ.",
+    ),
+    selection_runs: int | None = Option(
+        None,
+        min=0,
+        max=opt.LARGEST_RUNS,
+        help="Runs on which the worst attack of the attack suite is chosen; 0 to leave the "
+        "protection out.",
+    ),
     threads: opt.Threads = None,
     jobs: opt.Jobs = None,
     backend: opt.Backend = "local",
@@ -169,10 +153,10 @@ def bench(
 
 
 def report(
-    folder: Annotated[Path, Argument(help="Folder of the results.")] = Path("results"),
-    out: Annotated[
-        Path | None, Option(help="Every run of a campaign as a row, too: file, .mat or .parquet.")
-    ] = None,
+    folder: Path = Argument(Path("results"), help="Folder of the results."),
+    out: Path | None = Option(
+        None, help="Every run of a campaign as a row, too: file, .mat or .parquet."
+    ),
     as_json: opt.Json = False,
     verbose: Verbose = False,
 ) -> None:

@@ -1,7 +1,5 @@
 """Options of several commands, each written once."""
 
-# ruff: noqa: RUF009 - the defaults of the records are for typer, which fills in every field
-
 from __future__ import annotations
 
 import functools
