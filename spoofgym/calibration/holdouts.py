@@ -32,17 +32,13 @@ CONFIDENCE = 0.99
 class HoldOut(NamedTuple):
     """Alarms of a calibrated detector on runs that it was not calibrated on.
 
-    - `name`: of the detector;
-    - `runs`, `alarms`: runs, and those with an alarm in the judged window;
-    - `promised`: probability of one for a run;
+    - `alarms` in the judged window, `early` before the attack; `promised`: probability for a run;
     - `low`, `high`: central interval of the count that the ranks of the calibration predict; None
       in another world, and for a fitted tail, which predict none;
-    - `per_hour`: measured rate;
-    - `early`: runs with an alarm before the attack;
+    - `per_hour`: measured rate; `false_alarms_per_hour`: rate that is promised;
     - `worlds`: runs and alarms of each world that was drawn, of a domain with several;
-    - `false_alarms_per_hour`: rate that is promised;
-    - `ages`: the least age where the judged window begins [s], of `AGES_S`, runs and alarms from
-      there to the next, where ages are drawn: the hazard by the time since switch-on.
+    - `ages`: where ages are drawn, the least at the judged window's start [s], of `AGES_S`, with
+      runs and alarms from there to the next: the hazard by the time since switch-on.
     """
 
     name: str

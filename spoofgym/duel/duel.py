@@ -70,7 +70,7 @@ class DuelStep(NamedTuple):
 
 
 class Duel:
-    """Episodes of a spoofer against a detector agent, for B receivers.
+    """Episodes of a spoofer against a detector agent, the detector of `setup`, for B receivers.
 
     One epoch is `arrive`, then `decide`.  The spoofer decides at the first of every `Setup.repeat`
     epochs, counted from the onset, and is commanded from there as `Setup.command` says; the
@@ -81,19 +81,12 @@ class Duel:
     which the offsets hold their rate.
 
     With `onset` ``"within"`` an episode begins where the detectors go live, and the attack at the
-    age that the world draws (`Domain.age_s`). In the epochs before it the detector decides as in
-    all others, and the spoofer is not called: they are epochs of a clean episode, which an alarm
-    ends as a false one.
+    age that the world draws (`Domain.age_s`). In the epochs before it (`before_onset`, (B,) at the
+    last that has arrived) the detector decides as in all others, and the spoofer is not called:
+    they are epochs of a clean episode, which an alarm ends as a false one.
 
-    - `before_onset` (B,) bool, whether the last epoch that has arrived is one of these;
-    - `setup`: its detector is a `DetectorAgent`;
-    - `false_alarm`: rate that a running threshold keeps;
-    - `decision_delay`: whether an epoch is judged by a decision on itself, or by one on the epoch
-      before;
-    - `attack_probability`: in [0, 1];
-    - `core`: the receivers, and what the spoofer observes;
-    - `score`: what counts of the running episodes;
-    - `attacked` (B,) bool, what nature has drawn.
+    `decision_delay`: whether an epoch is judged by a decision on itself, or by one on the epoch
+    before; `false_alarm`: rate that a running threshold keeps.
     """
 
     def __init__(

@@ -67,14 +67,10 @@ def pooled_detector(
 
 
 class SpooferPool:
-    """Spoofers of which one commands a receiver for a whole episode.
+    """Spoofers of which one, `opponent` (B,), commands a receiver for a whole episode.
 
-    Every spoofer that has a receiver at present is called once a decision, its own or the world's,
-    with the observations that its knowledge allows, for all receivers; each receiver takes the
-    command of its own.
-
-    `weights`: probability of each; all alike by default; `opponent` (B,) index of the spoofer of
-    every receiver.
+    Every one that has a receiver is called once a decision, its own or the world's, for all of
+    them, with what its knowledge allows; each receiver takes the command of its own.
     """
 
     def __init__(

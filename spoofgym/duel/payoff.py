@@ -18,9 +18,8 @@ RUNNING = "running"
 
 
 class DuelOutcome(NamedTuple):
-    """What a step has brought, (B,) each: gain and retraction as in `reward.Outcome`; whether it
-    brought the `first` alarm; whether an attack is on, which before the onset none is; and whether
-    none has alarmed yet."""
+    """What a step has brought (B,): `gain` and `retraction` as in `reward.Outcome`; whether it
+    brought the `first` alarm; whether an attack is on, and whether none has alarmed yet."""
 
     gain: FloatArray
     retraction: FloatArray

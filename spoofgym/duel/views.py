@@ -92,12 +92,10 @@ class SpooferSide:
 
 
 class DetectorCore:
-    """Episodes of B receivers, in which the learner is the detector. With ``decision_delay=0`` an
-    observation is of the epoch that the next action judges; with 1 it is of the epoch before. A
-    step is an epoch, however seldom the spoofers decide. `settings` are those of `make_duel`.
-    Nothing that the learner is shown before the end depends on when the attack begins, but for the
-    measurements and the payoff.
-    `reset_names`, `info_names`: keys of `reset_info`, and of the information of a step."""
+    """Episodes of B receivers, in which the learner is the detector; a step is an epoch. With
+    ``decision_delay=0`` an observation is of the epoch that the next action judges; with 1 of the
+    one before. Nothing that the learner is shown before the end depends on when the attack begins,
+    but for the measurements and the payoff. `settings` are those of `make_duel`."""
 
     reset_names: tuple[str, ...] = ("time_s", "decision_delay")
     info_names: tuple[str, ...] = (

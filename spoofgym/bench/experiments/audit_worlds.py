@@ -45,13 +45,9 @@ from .training_attacks import QUIET_TASKS
 
 
 class AuditBudget(NamedTuple):
-    """Size of an audit.
-
-    - `runs`: evaluation runs of every family; `selection_runs`: those that its attacks are chosen
-      on; `search`: of profiles against the detector;
-    - `twins`: runs of every age; `ages`: how many of `AGES_S`;
-    - `floor_worlds`: worlds of the floor where none is stored, None for all, 0 for no floor.
-    """
+    """Size of an audit: evaluation `runs` of every family, and those that its attacks are chosen
+    on; the `search` of profiles; runs of every age (`twins`), and how many of `AGES_S`; worlds of
+    the floor where none is stored, None for all, 0 for no floor."""
 
     runs: int
     selection_runs: int

@@ -52,12 +52,9 @@ class Interrupted(KeyboardInterrupt):
 
 @dataclass
 class Context:
-    """What a process has for the cells that it computes.
-
-    - `threads`: of the engine; None for all useful ones;
-    - `cache`: shared from cell to cell, such as runs at the onset;
-    - `tick`: may be called with a part of the cells' `work` when it is done.
-    """
+    """What a process has for its cells: `threads` of the engine, None for all useful ones; a
+    `cache` from cell to cell; and `tick`, which may be called with a part of the cells' `work` when
+    it is done."""
 
     threads: int | None = None
     cache: dict[Any, Any] = field(default_factory=dict)

@@ -38,21 +38,12 @@ def alarm_intervals(alarm: NDArray[np.bool_], time_s: FloatArray) -> list[tuple[
 
 @dataclass(frozen=True)
 class Episode:
-    """A run under attack and its clean twin.
-
-    Times are since the onset, negative in the last part of the warm-up; L epochs of it and K from
-    the onset to the end are recorded.
-
-    - `setup`: world and detector; `entropy`, `run`: which of the evaluation runs;
-    - `time` (L + K,) [s];
-    - `ratio` (L + K, 2) largest ratio of a statistic to its threshold, attacked and twin;
-    - `alarm` (L + K, 2) bool;
-    - `error_n` (K, 2, d) distance from the truth, north, east (and down) [m];
-    - `displacement` (K, a) commanded displacement [m];
-    - `frames` (K,) position and sky of the attacked receiver;
-    - `channels` (a,) what is displaced;
-    - `onset_epoch`: epoch of `Setup.epoch_time` after which the attack starts.
-    """
+    """A run under attack and its clean twin: L epochs of the warm-up, whose times since the onset
+    are negative, and K to the end. By epoch, attacked and twin side by side: `time` (L + K,) [s];
+    `ratio` (L + K, 2) of statistic to threshold; `alarm` (L + K, 2); `error_n` (K, 2, d) distance
+    from the truth, north, east (and down) [m]. Of the attacked one: `displacement` (K, a) of
+    `channels` (a,) that is commanded [m], and `frames` (K,). `onset_epoch`: of
+    `Setup.epoch_time`."""
 
     setup: Setup
     detector: PlayerSpec

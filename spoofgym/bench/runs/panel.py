@@ -136,12 +136,10 @@ Search = Generator[list[PanelAttack], list[Runs], T]
 
 
 class Panel:
-    """Runs at their onset, in front of a detector in the loop, or of several that only look.
-
-    - `clean`: what each detector makes of the runs without attack;
-    - `warmup_alarm`, `twin_alarm` (R, D) alarms before the onset, and epoch of the first after it;
-    - `counts` (R, D) which of them count; `sky` (R,) under which they fly.
-    """
+    """Runs at their onset, under a `sky` (R,), in front of a detector in the loop, or of several
+    that only look; `clean`: what each makes of them without attack; `warmup_alarm`, `twin_alarm`
+    (R, D) alarms before the onset, and epoch of the first after it; `counts` (R, D) which of them
+    count."""
 
     def __init__(
         self,

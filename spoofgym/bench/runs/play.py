@@ -53,12 +53,10 @@ class _Part(NamedTuple):
 
 
 class SpooferController:
-    """Spoofers that command the receivers of an engine, which are at their onset.
-
-    - `engine`: its simulator leaves all measurements alone where the first transmits nothing;
-    - `specs`: of the spoofers, alike but for their settings: they observe and command the same, at
-      the same pace, their own; `which` (B,) commands each receiver, by default the first.
-    """
+    """Spoofers that command the receivers of an engine, which are at their onset; it leaves
+    measurements alone where the first transmits nothing. `specs` are alike but for their settings:
+    they observe and command the same, at one pace; `which` (B,) commands each receiver, by default
+    the first."""
 
     def __init__(
         self, specs: Sequence[Any], engine: Engine, which: NDArray[np.intp] | None = None
@@ -165,14 +163,12 @@ class Runs(NamedTuple):
     """What happened in the K epochs from the onset of the attack to the end of the hold.
 
     - `position` (K, R, d) estimated after each epoch, in the axes of `Setup.true_position` [m]; NaN
-      once a run has been dropped;
-    - `alarm` (K, R) bool, whether any channel alarmed;
-    - `peak` (R,) largest ratio of a statistic to its threshold;
-    - `onset` (R,) epoch of `Setup.epoch_time` after which the attack began;
-    - `heading` (R,) direction of the target, clockwise from north [rad];
-    - `coasting` (K, R) bool, whether the epoch had no update for want of measurements;
-    - `blamed` (R,) channels that were blamed, summed over the epochs;
-    - `protection` (K, R) protection level [m]; None but of clean runs of a detector that has one.
+      once a run has been dropped; `alarm` (K, R) of any channel;
+    - `peak` (R,) largest ratio of a statistic to its threshold; `blamed` (R,) channels, summed;
+    - `onset` (R,) epoch of `Setup.epoch_time` after which the attack began; `heading` (R,) of the
+      target, clockwise from north [rad];
+    - `coasting` (K, R) whether the epoch had no update for want of measurements;
+    - `protection` (K, R) level [m]; None but of clean runs of a detector that has one.
     """
 
     position: FloatArray
@@ -263,10 +259,8 @@ class WarmStart:
 
 class PanelDetectors(PassiveDetectors):
     """Detectors that share a pass of the engine, by numbers that stay theirs in smaller panels.
-
-    `memory`: also ``alarmed`` (B, D) and ``blamed``, channels that are, at the last epoch alone,
-    and ``so_far``, whether each has alarmed since the episode began.
-    """
+    `memory`: ``alarmed`` and ``blamed`` channels (B, D) of the last epoch, ``so_far`` of the
+    episode."""
 
     def __init__(self, detectors: Sequence[Detector], numbers: Sequence[int] | None = None) -> None:
         super().__init__(detectors)

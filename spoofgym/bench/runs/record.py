@@ -184,12 +184,10 @@ STANFORD = ("nominal", "misleading", "hazardous", "unavailable")  # parts of the
 def count_stanford(
     error: FloatArray, level: FloatArray, alarm: Mask, alert_limit_m: float
 ) -> dict[str, NDArray[np.int64]]:
-    """Epochs by the parts of the Stanford diagram (`tossaint2007`), (R,) by name. With the position
-    error `error` (K, R) and the protection level `level` (K, R) [m]
-
-    - unavailable: the level exceeds the alert limit, or there is an `alarm` (K, R);
-    - else nominal: the error is within the level; misleading: it exceeds the level, hazardous: the
-      alert limit, too."""
+    """(R,) epochs by the parts of the Stanford diagram (`tossaint2007`): unavailable where the
+    protection `level` (K, R) exceeds the alert limit, or at an `alarm` (K, R); else nominal where
+    the position `error` (K, R) [m] is within the level, misleading beyond it, hazardous beyond the
+    limit, too."""
     available = (level <= alert_limit_m) & ~alarm
     beyond = available & (error > level)
     parts = (
@@ -203,13 +201,8 @@ def count_stanford(
 
 
 class Aim(NamedTuple):
-    """What an attack is chosen by.
-
-    - `measure`: one of `MEASURES`;
-    - `share`: of the runs in which the displacement is to be large; or
-    - `limit_m`: alert limit that is to be exceeded often;
-    - `skies`: whether only the worst tenth of them counts.
-    """
+    """What an attack is chosen by: one of `MEASURES`, to be large in a `share` of the runs, or to
+    exceed an alert limit often; `skies`: whether only the worst tenth of them counts."""
 
     measure: str
     share: float | None = None
@@ -243,12 +236,8 @@ class Aim(NamedTuple):
 
 @dataclass(frozen=True)
 class Winner:
-    """An attack that is the worst one for some aims.
-
-    - `letter`, `spoofer`, `setting`, `value`, `spec`: which one;
-    - `aims`: for what;
-    - `displacement` by measure (R,) of the evaluation runs [m].
-    """
+    """An attack that is the worst one for some aims; `displacement` by measure (R,) of the
+    evaluation runs [m]."""
 
     letter: str
     spoofer: str
@@ -261,13 +250,8 @@ class Winner:
 
 @dataclass(frozen=True)
 class Protection:
-    """What the suite achieves against one detector.
-
-    - `head`: detector, suite, selection and campaign, JSON-able;
-    - `winners`: the worst attacks on the evaluation runs;
-    - `counts`, `sky` (R,) which of these runs count, and under which sky;
-    - `skies`: the worst tenth; None where there are too few.
-    """
+    """What the worst attacks of the suite achieve on the evaluation runs against one detector;
+    `counts`, `sky` (R,) of these; `skies`: the worst tenth, None where there are too few."""
 
     head: dict[str, Any]
     winners: tuple[Winner, ...]

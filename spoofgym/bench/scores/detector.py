@@ -86,14 +86,10 @@ class FamilyScore(NamedTuple):
 class DetectorScore:
     """What a detector is worth in a task; paired with every other one of the same runs.
 
-    - `task`, `detector`: which ones;
-    - `alert_limit_m`: error that must not be exceeded unnoticed [m];
     - `runs`, `selection_runs`, `entropy`: evaluation runs of every family, those that attacks were
       chosen on, and the seed of all, None of a log, where nothing is drawn;
-    - `families`: scores by family; the worst one counts;
-    - `false_alarms` (R,) bool by name: runs without an attack that alarm, in the judged window
-      alone, and in all monitored time, without an event and with one;
-    - `window_s`: length of the judged window.
+    - `families`: scores of each, the worst of which counts; `false_alarms` (R,) bool by name: runs
+      without an attack that alarm; `window_s`: length of the judged window.
     """
 
     task: str

@@ -188,14 +188,9 @@ class RunPayoff:
 
 @dataclass(frozen=True, repr=False)
 class PayoffMatrix:
-    """Payoffs of rows, spoofers, against columns, detectors; all on the same runs.
-
-    - `spoofers`, `detectors`: strategies; `payoff`: what a run is worth;
-    - `rows` (m, p), `columns` (n, q): weights of the pure `members` in each of them;
-    - `displacement`, `alarmed` (p, q, R), `counts` (q, R): of the pure ones;
-    - `sky` (R,) under which each run flew;
-    - `seeds`: entropy and split of the runs.
-    """
+    """Payoffs of strategies, spoofers by rows and detectors by columns, on the same runs of `sky`
+    (R,). `rows` (m, p), `columns` (n, q): weights of the pure members in each of them, of which
+    `displacement`, `alarmed` (p, q, R) and `counts` (q, R) are; `seeds`: entropy and split."""
 
     spoofers: tuple[Strategy, ...]
     detectors: tuple[Strategy, ...]

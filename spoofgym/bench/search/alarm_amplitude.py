@@ -54,10 +54,7 @@ Played = tuple[Mask, dict[str, FloatArray]]
 
 
 class AttackedRuns(Protocol):
-    """Runs that count, and an attack on them at any value of its setting.
-
-    - `span`: smallest and largest value; `sky` (R,) of each run.
-    """
+    """Runs that count, in `sky` (R,), and an attack at any value of its setting within a `span`."""
 
     span: tuple[float, float]
     sky: NDArray[np.int64]

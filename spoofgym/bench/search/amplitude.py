@@ -94,13 +94,9 @@ class Tuning:
 
 @dataclass(frozen=True)
 class Trial:
-    """One value on the training runs.
-
-    - `runs`: how many it was tried on; `counted`: how many of them count;
-    - `alarm_rate`, `alarm_limit`: P(alarm | silent twin), and its upper 95 % limit;
-    - `stealthy_displacement_m`: mean over the runs that count;
-    - `within_budget`: by the limit where the value can be chosen, else by the rate.
-    """
+    """One value on the training runs: of `runs` that it was tried on `counted` count; P(alarm |
+    silent twin) with its upper 95 % limit; mean displacement over those that count. `within_budget`
+    is by the limit where the value can be chosen, else by the rate."""
 
     value: float
     runs: int
@@ -122,16 +118,12 @@ class Trial:
 class TuningResult:
     """What a search found.
 
-    - `within_budget`: whether there is any value within the budget; if not, the choice is the
-      smallest;
+    - `within_budget`: whether any value is within the budget; if not, the choice is the smallest;
     - `budget`: largest P(alarm | silent twin) that its upper limit may be;
-    - `runs`, `counted`: training runs, and those among them that count;
-    - `clean_alarm_rate`, `warmup_alarms`: part of them that alarms without attack, and how many
-      alarm before it;
-    - `trials`: all that was tried, by value; the choice is among those on all runs;
-    - `found`: settings of a spoofer that was looked for besides its value, and how; or None;
-    - `at_budget`: score at exactly the budget, by the rule `EXACT`, and `trace`, by which attacks
-      are compared; or None.
+    - `runs`, `counted`: training runs, and those that count; `clean_alarm_rate`, `warmup_alarms`:
+      part of them that alarms without attack, and how many alarm before it;
+    - `trials`: all that was tried, by value; `found`: settings that were looked for besides it;
+    - `at_budget`, `trace`: score at exactly the budget, and by what attacks are compared there.
     """
 
     detector: str

@@ -46,13 +46,9 @@ UNITS = {
 
 
 class FamilyReach(NamedTuple):
-    """A family at an amplitude at which a share of the windows alarms.
-
-    - `family`; `unit` of its amplitude;
-    - `score`: amplitude and undetected displacement at that share, with intervals over windows;
-    - `at_limit`: whether not even the largest amplitude alarms more often;
-    - `rates_mps`: of the curve that was found, at its knots; none of a plain one.
-    """
+    """A family of attacks at which a share of the windows alarms: amplitude and displacement with
+    intervals over windows; `at_limit`: whether not even the largest amplitude alarms more often;
+    `rates_mps` at the knots of a curve that was found."""
 
     family: str
     unit: str
@@ -81,12 +77,11 @@ class PlayedSpoofer(NamedTuple):
 class LogAttack(NamedTuple):
     """What attacks reach against a detector on a log.
 
-    - `factor` on the detector's thresholds, for `false_alarms_per_hour`, None for its own;
-    - `windows` that are attacked, of `window_s`, each after `live_s`; `clean_alarms` of them alarm
+    - `factor` on its thresholds, for `false_alarms_per_hour`, None for its own;
+    - `windows` of `window_s` that are attacked, each after `live_s`; `clean_alarms` of them alarm
       without an attack, or before it, and do not count;
-    - `families`, each at the alarm budget that so many windows support and where half of them
-      alarm; `zero_alarm`: what no attack exceeds in the mean without an alarm;
-    - `played`: spoofers that were named, in place of the families.
+    - `families`, at the alarm budget that the windows support and where half of them alarm, or the
+      spoofers that were named, `played`; `zero_alarm`: what none exceeds in the mean without alarm.
     """
 
     detector: str

@@ -97,13 +97,9 @@ class OpenLoopSearch:
 
 
 class OpenLoopAttack(NamedTuple):
-    """A curve that a search has found.
-
-    - `rates_mps` (knots,) at the amplitude that the share of alarms allows on the runs;
-    - `displacement_m` it gets there, by the score of the search (`HazardOptimizer`: another score);
-    - `start`: shape that the search began at, and `start_m` what that gets;
-    - `saturated`: whether it gets as far as any attack, so that nothing was left to search for.
-    """
+    """A curve that a search has found: (knots,) rates at the amplitude that the share of alarms
+    allows, what it gets there by the score of the search, the shape that it began at and what that
+    gets, and whether it gets as far as any attack, so that nothing was left to search for."""
 
     rates_mps: FloatArray
     displacement_m: float
