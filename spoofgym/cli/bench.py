@@ -12,7 +12,7 @@ from typer import Argument, Option
 from . import options as opt
 from .app import print_json, print_lines, print_written
 from .options import SuiteOptions, with_options
-from .suites import Reports, build_suite, calibrate_suite, make_selection, make_tuning
+from .suites import Reports, build_suite, calibrate_suite, make_tuning
 
 if TYPE_CHECKING:
     from ..bench.experiments import Reader
@@ -105,9 +105,11 @@ def bench(
     from ..bench.experiments.suite import SPOOFERS, get_budget
     from ..bench.report.campaign import WorstRows
     from ..bench.runs.players import add_tuned_setting
+    from ..bench.search.attack_suite import Selection
     from ..simulation.engine import processors
 
     size = get_budget(budget, runs=runs, training_runs=training_runs, selection_runs=selection_runs)
+    chosen = size.selection_runs  # a quarter of them sifts
     standard = task is None and not options.find_passed(opt.WORLD_OPTIONS)
     spoofers = opt.parse_specs(spoofer or (SPOOFERS if standard else ()))
     suite, reports = build_suite(
@@ -122,7 +124,7 @@ def bench(
         tuning=make_tuning(
             size.training_runs, alarm_budget, rule=rule or get_rule(task), quick=size.quick
         ),
-        selection=make_selection(size.selection_runs),
+        selection=Selection(runs=chosen, sift_runs=max(chosen // 4, 1)) if chosen else None,
         floor_worlds=size.floor_worlds,
     )
     if fit_only and not any(player.tuned for player in suite.spoofer_players):

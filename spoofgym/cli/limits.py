@@ -70,12 +70,13 @@ def limits(
     """
     from ..bench.report import limits as report
     from ..core.plots import check_picture
+    from ..core.registry import check_choice
     from ..detectors.calibrated import STANDARD_RATE
     from ..limits.floor import check_linear_victim, compute_frontier
 
     rate = options.false_alarms_per_hour
     rate = STANDARD_RATE if rate is None else rate
-    known = report.parse_sensor_knowledge(sensors)
+    check_choice("knowledge of the inertial sensors' constants", sensors, report.SENSORS)
     picture = None if figure is None else check_picture(figure)
     suite, reports = build_suite(
         options,
@@ -97,7 +98,7 @@ def limits(
         frontier = compute_frontier(
             setup,
             worlds=worlds,
-            sensors_known=known,
+            sensors_known=report.SENSORS[sensors],
             entropy=options.seed,
             times=0 if picture is None else report.TIMES,
             tick=lambda part: bar.advance(part, "floor"),

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from ..bench.runs.players import PlayerSpec
     from ..bench.runs.world import World
     from ..bench.search.amplitude import Tuning
-    from ..bench.search.attack_suite import Selection
     from ..core.registry import Spec
 
 LEFT_OUT = " is left out: "
@@ -184,13 +183,6 @@ def make_tuning(runs: int, budget: float, **settings: Any) -> Tuning:
     except ValueError as error:  # it knows its fields, not the options
         text = str(error).replace("`runs`", "--training-runs")
         raise ValueError(text.replace("`budget`", "--alarm-budget")) from error
-
-
-def make_selection(runs: int) -> Selection | None:
-    """A search for the worst attack on so many runs, of which a quarter sifts; None for none."""
-    from ..bench.search.attack_suite import Selection
-
-    return Selection(runs=runs, sift_runs=max(runs // 4, 1)) if runs else None
 
 
 def _victim(options: WorldOptions) -> tuple[dict[str, Any], Reports]:

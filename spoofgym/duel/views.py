@@ -165,10 +165,7 @@ class DetectorCore:
             done = self.duel.decide(action)
         over, all_ = done.terminated, done.info
         info: Info = {
-            "time_s": all_["time_s"],
-            "alarm": all_["alarm"],
-            "statistic": all_["statistic"],
-            "threshold": all_["threshold"],
+            **{name: all_[name] for name in ("time_s", "alarm", "statistic", "threshold")},
             "decision_delay": np.full(self.receivers, self.duel.decision_delay),
             "attacked": all_["attacked"] & over,
             "undetected_displacement_m": np.where(over, all_["undetected_displacement_m"], 0.0),

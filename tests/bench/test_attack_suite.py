@@ -7,7 +7,7 @@ from spoofgym.bench.runs.panel import play_searches
 from spoofgym.bench.runs.play import make_bound_spoofer
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.runs.record import MEASURES, Aim
-from spoofgym.bench.runs.world import VICTIMS, World
+from spoofgym.bench.runs.world import World
 from spoofgym.bench.search.attack_suite import (
     AMPLITUDE_RANGE,
     FAMILIES,
@@ -23,6 +23,7 @@ from spoofgym.bench.search.attack_suite import (
 )
 from spoofgym.envs.context import spoofer_context
 from spoofgym.envs.factory import make_setup
+from spoofgym.envs.spoofer_binding import SETUPS
 from spoofgym.spoofers import SpooferContext, make_spoofer
 from spoofgym.spoofers.base import sees_statistics
 from spoofgym.spoofers.scaled import LARGEST, SMALLEST
@@ -30,9 +31,9 @@ from spoofgym.spoofers.scaled import LARGEST, SMALLEST
 from ..lazily import Lazily
 
 
-@pytest.mark.parametrize("env", VICTIMS)
+@pytest.mark.parametrize("env", SETUPS)
 def test_every_member_fits_every_victim_over_its_whole_range(env):
-    setup = make_setup(VICTIMS[env].setup, {"detector": "never"})
+    setup = make_setup(SETUPS[env], {"detector": "never"})
     context = spoofer_context(setup)
     members = list_fitting_attacks(setup, context)
     letters = [member.letter for member in members]
@@ -53,7 +54,7 @@ def test_every_member_fits_every_victim_over_its_whole_range(env):
 
 
 def test_the_digest_follows_the_members_and_profiles_are_smooth_and_within_the_limits():
-    setup = make_setup(VICTIMS["spoofgym/Zhong2025-v0"].setup, {"detector": "never"})
+    setup = make_setup(SETUPS["spoofgym/Zhong2025-v0"], {"detector": "never"})
     context = spoofer_context(setup)
     members = list_suite_attacks(context)
     assert suite_digest(members) == suite_digest(list_suite_attacks(context))

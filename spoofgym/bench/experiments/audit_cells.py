@@ -252,7 +252,10 @@ class AuditCells(Experiment):
         heads: list[dict[str, Any]] = [{"detector": each.player.label} for each in group]
         transfers: tuple[SuiteAttack, ...] = ()
         if SEARCHED in family.letters:
-            share, transfers = self.search_plays / len(group), self._list_transfers()
+            share, stored = self.search_plays / len(group), self.card.get("optima_mps", {})
+            spoofer = specify_spoofer(add_tuned_setting({"name": "open-loop"}))
+            found_elsewhere = (with_rates(spoofer, rates) for rates in stored.values())
+            transfers = tuple(SuiteAttack(TRANSFER, each) for each in found_elsewhere)
             tick = lambda part: context.tick(share * part)  # noqa: E731
             for k, each in enumerate(group):
                 curves, bound = worlds.search_open_loop(each, self.of.size.search, tick)
@@ -285,12 +288,6 @@ class AuditCells(Experiment):
         chosen = list(zip(searches, play_searches(panel, requests, context.tick), strict=True))
         panel = worlds.panel(group, "evaluation", self.of.runs, **where)
         return play_winners(panel, chosen, context.tick)
-
-    def _list_transfers(self) -> tuple[SuiteAttack, ...]:
-        """Profiles that are stored as found against other detectors in the task's world."""
-        spoofer = specify_spoofer(add_tuned_setting({"name": "open-loop"}))
-        stored = self.card.get("optima_mps", {}).values()
-        return tuple(SuiteAttack(TRANSFER, with_rates(spoofer, rates)) for rates in stored)
 
     def _false_alarms(self, group: Sequence[ScoredDetector]) -> Iterator[Result]:
         """Alarms of detectors in runs without an attack, with an event and without."""

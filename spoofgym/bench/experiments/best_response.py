@@ -276,8 +276,7 @@ class Exploitability(NamedTuple):
     below: Estimate
 
     def as_json(self) -> dict[str, Any]:
-        ends = {name: getattr(self, name).as_json() for name in self._fields}
-        return ends
+        return {name: getattr(self, name).as_json() for name in self._fields}
 
 
 def exploitability(

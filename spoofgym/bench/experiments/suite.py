@@ -169,12 +169,6 @@ class Suite:
         """Alert limits by which detectors are compared."""
         return sorted({*ALERT_LIMITS_M, float(self.alert_limit_m)})
 
-    @property
-    def _oracle_notes(self) -> tuple[str, ...]:
-        """Which detectors are oracles; a line each."""
-        labels = oracle_labels(self.detector_players)
-        return tuple(f"{label} is an oracle: it knows the attack" for label in labels)
-
     @cached_property
     def spoofer_players(self) -> tuple[PlayerSpec, ...]:
         """Spoofers in their order, ``none`` first."""
@@ -261,6 +255,8 @@ class Suite:
         ]
         for line in unknown:
             warnings.warn(line, UserWarning, stacklevel=2)
+        oracles = oracle_labels(self.detector_players)
+        seeing = (f"{label} is an oracle: it knows the attack" for label in oracles)
         return {
             "spoofgym": __version__,
             "outside": {
@@ -279,7 +275,7 @@ class Suite:
             "alert_limit_m": float(self.alert_limit_m),
             "alert_limits_m": list(ALERT_LIMITS_M),
             **({} if self.floor_worlds is None else {"floor_worlds": self.floor_worlds}),
-            "notes": [*self.notes, *self.captions, *self._oracle_notes, *self.left_out, *unknown],
+            "notes": [*self.notes, *self.captions, *seeing, *self.left_out, *unknown],
         }
 
     @cached_property

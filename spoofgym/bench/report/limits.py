@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from ...core.plots import BLUE, ORANGE, figure_class, save_figure, style
 from ...core.progress import ProgressBar
-from ...core.registry import check_choice
 from ...detectors.calibration_file import hourly_rate, run_probability
 from ...envs.observer import Observer
 from ...envs.terms.observation import default_terms
@@ -53,12 +52,6 @@ DRAWN = {
 EPOCH_S = 0.007  # of a processor, of the floor of one world, for an epoch before the attack
 UNBOUNDED = "unbounded"
 NO_POSITION = "the restricted attack is a false position, which this one does not command"
-
-
-def parse_sensor_knowledge(word: str) -> bool:
-    """Whether the constants of the inertial sensors are known; an error for another word."""
-    check_choice("knowledge of the inertial sensors' constants", word, SENSORS)
-    return SENSORS[word]
 
 
 def per_run(false_alarms_per_hour: float, setup: TightlyCoupledSetup) -> float:
@@ -151,12 +144,12 @@ def divergence_record(
     spoofer = player.build()
     latent = Observer(default_terms(setup, spoofer.knowledge), setup).latent_names
     found: Record = {"spoofer": player.label, "knowledge": spoofer.knowledge}
+    bounds: Record = {}
     try:
         check_no_latent(spoofer.knowledge, latent)
     except ValueError as error:
-        return {**found, "holds": False, "why": str(error), "bounds": {}}
+        return {**found, "holds": False, "why": str(error), "bounds": bounds}
     sizes = _spread(frontier.sizes())
-    bounds = {}
     for purpose, p_d in purposes(p_fa, budget).items():
         divergence = compute_kl_divergence(p_d, p_fa)
         d = math.sqrt(2.0 * divergence)

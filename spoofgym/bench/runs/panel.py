@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Generator, Sequence
-from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -216,12 +215,13 @@ class Panel:
                 some = [(several[j], sizes[j]) for j in np.flatnonzero(share == part)]
                 rows = np.concatenate([np.arange(size) for _, size in some])
                 which = np.repeat(np.arange(len(some)), [size for _, size in some])
+                size = len(rows) * len(numbers)
                 played = play_side_by_side(
                     self._start(numbers, alone, some[0][0], rows),
                     [each.spec for each, _ in some],
                     which,
                     drop_alarmed=drop,
-                    tick=partial(_tick_rows, tick, len(rows) * len(numbers)),
+                    tick=lambda part, n=size: tick(part * n),  # type: ignore[misc]
                 )
                 for j, (each, _) in enumerate(some):
                     own_rows = np.flatnonzero(which == j)
@@ -305,10 +305,6 @@ class Panel:
         pairs = zip(played, self.clean, strict=True)
         moved = [compute_displacement(self.setup, x, twin.first(attack.runs)) for x, twin in pairs]
         return np.asarray(np.round(np.array(moved), 6), dtype=np.float64)
-
-
-def _tick_rows(tick: Callable[[float], None], rows: int, part: float) -> None:
-    tick(part * rows)
 
 
 def play_searches(

@@ -139,15 +139,13 @@ class DetectorScore:
         Both use the same runs, except in ``chance-alarm``, where each has its own. It compares the
         worst family of each, or `family`. Raises a ValueError where the task, `runs`, `entropy` or
         the families of the two differ."""
-        mine, theirs = self._samples(family), other._samples(family)
-        self._check_paired(other)
+        mine, theirs = self._draw_pair(other, family)
         return percentiles(mine[0] - theirs[0], mine[1] - theirs[1])
 
     def ratio_to(self, other: DetectorScore, family: str | None = None) -> Estimate:
         """P(HMI | attack) in parts of that of another detector; as `difference_to`. Unknown where
         the other one's is 0."""
-        mine, theirs = self._samples(family), other._samples(family)
-        self._check_paired(other)
+        mine, theirs = self._draw_pair(other, family)
         with np.errstate(divide="ignore", invalid="ignore"):
             drawn = mine[1] / theirs[1]
         return percentiles(mine[0] / theirs[0] if theirs[0] > 0.0 else math.nan, drawn)
@@ -158,7 +156,11 @@ class DetectorScore:
         value = float(np.max([each.p_hmi.value for each in chosen]))  # NaN where nothing counts
         return value, np.max([each.resample_hmi() for each in chosen], axis=0)
 
-    def _check_paired(self, other: DetectorScore) -> None:
+    def _draw_pair(
+        self, other: DetectorScore, family: str | None
+    ) -> tuple[tuple[float, FloatArray], tuple[float, FloatArray]]:
+        """Samples of both, which have to have played the same runs."""
+        drawn = self._samples(family), other._samples(family)
         names = ("task", "runs", "entropy")
         unlike = [n for n in names if getattr(self, n) != getattr(other, n)]
         if [each.family for each in self.families] != [each.family for each in other.families]:
@@ -168,6 +170,7 @@ class DetectorScore:
                 f"{self.detector} and {other.detector} have not played the same runs: "
                 + "; ".join(f"`{name}` differ" for name in unlike)
             )
+        return drawn
 
     def as_dict(self) -> dict[str, Any]:
         plain = ("task", "detector", "alert_limit_m", "runs", "selection_runs", "entropy")

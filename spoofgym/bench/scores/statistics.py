@@ -31,8 +31,7 @@ RESAMPLES = 2000
 
 
 class Estimate(NamedTuple):
-    """A number and the interval around it. `value`, `low`, `high`: estimate and interval; NaN where
-    there is nothing to estimate from."""
+    """A number and the ends of its interval; NaN where there is nothing to estimate from."""
 
     value: float
     low: float
