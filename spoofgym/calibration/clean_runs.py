@@ -104,11 +104,8 @@ def measuring(detector: Detector) -> tuple[Detector, float]:
 
 @dataclass
 class Player:
-    """Plays clean runs of one world.
-
-    `threads` share the chunks of runs, each of which has a simulator of its own; all useful cores
-    by default.
-    """
+    """Plays clean runs of one world; `threads` share the chunks, each with a simulator of its
+    own."""
 
     setup: Setup
     entropy: int = 0

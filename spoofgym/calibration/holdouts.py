@@ -120,16 +120,10 @@ def hold_out(
     predicted: bool = True,
     player: Callable[..., Player] = Player,
 ) -> list[HoldOut]:
-    """Count the alarms of calibrated detectors on runs of the split `holdout`.
-
-    `calibrations`: in the order of the detectors; `detectors`: as `calibrate` takes them;
-    `false_alarms_per_hour`: rate at which they work; several share their runs, but for an alarm
-    that is a state; `runs`: by default `HOLDOUT_PASSIVE`, or `HOLDOUT_WEIGHING` for a detector that
-    de-weights; `cells`: hold-outs that are made together, whose intervals hold together; all of
-    these by default; `threads`, `progress`, `player`: as in `calibrate`; `predicted`:
-    whether the ranks of the calibration predict the count: they do in its own world alone; returns
-    in the order of the detectors; of several rates one after the other.
-    """
+    """Count the alarms of calibrated detectors, in their order, on runs of the split `holdout`;
+    several rates share their runs, but for an alarm that is a state. `cells`: hold-outs whose
+    intervals hold together, all of these by default; `predicted`: whether the ranks of the
+    calibration predict the count, in its own world alone; the others as in `calibrate`."""
     rates = list_rates(false_alarms_per_hour)
     parts = list(zip(calibrations, inner_detectors(detectors), strict=True))
     made = [[apply_calibration(c, d, rate) for c, d in parts] for rate in rates]
@@ -192,9 +186,8 @@ def _count_alarms(
 
 
 def predictive_interval(runs: int, calibrated: int, rank: int, cells: int = 1) -> tuple[int, int]:
-    """Central interval of the fresh runs that exceed an order statistic, of all cells together. How
-    often a fresh run exceeds the order statistic of `rank` from the top of n is beta distributed,
-    and their count beta-binomial. `runs`: fresh ones; `calibrated`: n."""
+    """Central interval of the fresh runs, of all cells together, that exceed the order statistic of
+    `rank` from the top of `calibrated` ones: their count is beta-binomial."""
     from scipy.stats import betabinom
 
     tail = 0.5 * (1.0 - CONFIDENCE) / cells
@@ -208,9 +201,8 @@ def transfer(
     detectors: DetectorSpec | Sequence[DetectorSpec],
     **settings: Any,
 ) -> list[HoldOut]:
-    """Count the alarms of detectors that were calibrated elsewhere on clean runs of this world.
-    `calibrations`, `detectors`: as in `hold_out`; `settings`: the others of `hold_out`; returns
-    without intervals: nothing is promised elsewhere."""
+    """Count alarms in a world where detectors were not calibrated, as `hold_out`, but without
+    intervals."""
     return hold_out(setup, calibrations, detectors, predicted=False, **settings)
 
 
@@ -222,9 +214,8 @@ def check(
     threads: int | None = None,
 ) -> None:
     """Replay the first runs of calibrations, and raise where a maximum is another one. Not those of
-    a detector that draws by the last bits of innovations, which differ between kinds of processors:
-    its runs are others there, and its rate is the same. `calibrations`: in the order of the
-    detectors; `detectors`: as `calibrate` takes them; `threads`: as in `calibrate`."""
+    a detector that draws by the last bits of innovations: its runs differ by processor, not its
+    rate."""
     parts = inner_detectors(detectors)
     pairs = list(zip(calibrations, parts, strict=True))
     for calibration, detector in pairs:

@@ -90,12 +90,7 @@ def bind_to_log(
     spec: Any, log: InnovationLog, receivers: int = 1, factor: float = 1.0
 ) -> tuple[Detector, DetectorContext]:
     """Detector in front of a log's receiver, or of copies of it; `factor` on its own thresholds.
-
-    Raises
-    ------
-    ValueError
-        Where it reads a signal or a field that the log does not have.
-    """
+    Raises a ValueError where it reads a signal or a field that the log does not have."""
     detector = make_detector(spec)
     detector = unwrap(detector)  # without a world's thresholds
     label = label_spec(spec)

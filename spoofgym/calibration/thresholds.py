@@ -288,10 +288,9 @@ def bisect(
     rank: int,
     alarms: Callable[[float, NDArray[np.int64]], NDArray[np.bool_]],
 ) -> float:
-    """Smallest factor on the threshold, of the ratios, at which fewer than `rank` runs alarm.
-    `before`, `judged` (R,) largest ratios of runs without any alarm. Up to its first alarm a run is
-    the same at any factor, so that only those above it before the attack are played again, by
-    ``alarms(factor, runs)``."""
+    """Smallest factor on the threshold at which fewer than `rank` runs alarm, of their largest
+    ratios (R,) without any alarm. Up to its first alarm a run is the same at any factor, so that
+    only those above it before the attack are played again, by ``alarms(factor, runs)``."""
     values = round_digits_up(np.unique(np.concatenate([before, judged])))
 
     def count(scale: float) -> int:

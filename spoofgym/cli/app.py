@@ -103,13 +103,9 @@ def _repeat_interrupt(lost: sys.UnraisableHookArgs) -> None:
 
 
 def _leave(code: int) -> NoReturn:
-    """End the process without taking the interpreter down first; another interrupt ends it at once.
-
-    An interrupt can leave a thread, of this package or of another, somewhere in compiled code.  One
-    that comes back while the interpreter is taken down aborts the process, whose exit code is lost.
-    Nothing else is: files are whole or absent (`core.files`), and what waits for the end, temporary
-    folders and threads, has exit hooks, which are run.
-    """
+    """End the process without taking the interpreter down, which an interrupt's thread in compiled
+    code could abort, and the exit code with it; another interrupt ends it at once. Files are whole
+    or absent (`core.files`), and exit hooks, such as of threads and temporary folders, are run."""
     try:
         for number in HANDLED_SIGNALS:
             if signal.getsignal(number) is _interrupt:

@@ -63,12 +63,9 @@ def build_suite(
     **settings: Any,
 ) -> tuple[Suite, Reports]:
     """The suite of the options or of a task, and the reports of real input; nothing is looked up.
-
-    `nominal`: whether detectors that request no thresholds have them as published; `headline`:
-    whether they have one rate of false alarms, and controls, unless a task or an option decides
-    otherwise; `standard`: whether it is the standard suite, whose controls play with detectors that
-    are named, too; `settings`: those of a suite that no task decides.
-    """
+    `nominal`: published thresholds where none are requested; `headline`: one rate of false alarms,
+    and controls, unless a task or an option decides otherwise; `standard`: the standard suite,
+    whose controls also play with detectors that are named; `settings`: of the suite."""
     from ..bench.experiments.suite import Suite, standard_kwargs
     from ..detectors.calibrated import STANDARD_RATE
     from ..tasks import get_task

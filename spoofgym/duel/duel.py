@@ -175,9 +175,9 @@ class Duel:
         rows: NDArray[np.intp] | None = None,
         given: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begin new episodes, and run their warm-up, in which the detector agent is not called; of
-        one with the onset ``"within"`` only the part without detectors.
-        `rngs`: one per row; one that a receiver has not had before restarts a running threshold."""
+        """Begin new episodes by their warm-up, in which the agent is not called; with the onset
+        ``"within"`` only the part without detectors. A generator that a row has not had restarts
+        its threshold."""
         where = self._all_rows if rows is None else rows
         self.core.reset(rngs, rows, given)
         self.score.reset(where)
@@ -193,8 +193,8 @@ class Duel:
 
     def arrive(self, action: FloatArray | None, rows: NDArray[np.intp] | None = None) -> None:
         """First half of an epoch: the spoofer moves, measurements arrive, the detector looks.
-        `action` (B, k) in [-1, 1]; not looked at in clean episodes, after the last command, and
-        where no decision is due. None where none is due at all: see `deciding`."""
+        `action` (B, k) in [-1, 1] counts where a decision is due (see `deciding`); None where none
+        is at all."""
         where = self._all_rows if rows is None else rows
         due = where[self.deciding[where]]
         if len(due):

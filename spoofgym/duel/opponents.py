@@ -45,9 +45,8 @@ def label_opponent(spec: Any) -> str:
 
 
 def make_opponent(spec: DetectorSpec, quiet_epochs: int = 0) -> Detector:
-    """Detector of a pool, at the default rate of false alarms where it requests no thresholds.
-    `quiet_epochs`: of the monitored warm-up, in which a policy without a number of its own is not
-    called."""
+    """Detector of a pool, at the default rate of false alarms where it requests no thresholds; a
+    policy without `quiet_epochs` of its own gets these."""
     made = detector_in_world(spec)
     inner: Any = made.detector if isinstance(made, Calibrated) else made
     policy = getattr(inner, "judge_by", inner)
@@ -59,8 +58,7 @@ def make_opponent(spec: DetectorSpec, quiet_epochs: int = 0) -> Detector:
 def pooled_detector(
     pool: Sequence[DetectorSpec] | DetectorSpec, weights: Sequence[float] | None, live: int
 ) -> PooledDetector:
-    """Detectors of which one is drawn for every episode. `weights`: probability of each; all alike
-    by default."""
+    """Detectors of which one is drawn for every episode, by `weights`."""
     return PooledDetector(
         [make_opponent(spec, live) for spec in list_opponents(pool, Detector)], weights
     )

@@ -121,11 +121,9 @@ class AuditPlan:
 
 @dataclass(frozen=True)
 class AuditCells(Experiment):
-    """Worst attacks of every family on every detector, its false alarms, what it finds at several
-    ages, and the floor. `scores_only`: without the last two.
-
-    Detectors that only look share the passes of a family.
-    """
+    """Worst attacks of every family on detectors, which share passes where they only look, their
+    false alarms, what they find at several ages, and the floor. `scores_only`: without the last
+    two."""
 
     name: ClassVar[str] = "audit"
     of: AuditPlan

@@ -104,11 +104,8 @@ def find_trained_holdout(judge: Detector, task: DetectorTask) -> str | None:
 
 
 def check_contract(detector: Any, say: Callable[[str], None]) -> Any:
-    """A detector to audit: a foreign one that is given as text in a process of its own.
-
-    What no run can do without, such as the shape of a verdict, is checked at once, unless it is one
-    of the package's own; of other promises that it breaks `say` is given the first.
-    """
+    """A detector to audit: a foreign one that is given as text in a process of its own. What no run
+    can do without is checked at once; of other promises that it breaks `say` is given the first."""
     from ...testing.detector import check_detector, check_verdicts
 
     given = isolate(detector) if isinstance(detector, str | Mapping) else detector

@@ -46,10 +46,8 @@ RUNS = 200
 
 @dataclass(frozen=True)
 class Pairs(Experiment):
-    """What all pairs of a game do; a spoofer meets the passive detectors in one pass.
-
-    `strategies`: of both sides; `spoofers`, `detectors`: pure ones, whose weights are `mixes`.
-    """
+    """What all pairs of a game do; a spoofer meets the passive detectors in one pass. `strategies`:
+    of both sides; `mixes`: weights of the pure `spoofers` and `detectors` in them."""
 
     name: ClassVar[str] = "game"
     game: Game

@@ -94,11 +94,8 @@ class LogAttacks(FamilyAttacks):
 
 
 class LogAuditor:
-    """Audits detectors on a log, a file or an `InnovationLog`; its arguments are those of `audit`.
-
-    `alert_limit_m`: error that must not be exceeded unnoticed; `false_alarms_per_hour`: in place of
-    what a detector requests; `times`: of `LogReplay`.
-    """
+    """Audits detectors on a log; arguments as of `audit`, an alert limit, a rate in place of what a
+    detector requests, and `times` of `LogReplay`."""
 
     def __init__(
         self,

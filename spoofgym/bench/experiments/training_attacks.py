@@ -61,13 +61,9 @@ LAST_PARTS = (0.1, 0.6)  # range of the part of the window in which a dash takes
 
 
 class TrainingAttacks:
-    """Families of attacks in one world.
-
-    `setup`: victim and attack, with the detector in the loop; `reach_m`: what `REACH` is in parts
-    of: an alert limit; `families`: some of `FAMILIES`; `optima`: rates of open-loop attacks at
-    their knots, for the family of that name [m/s]; `spoofers`: names and settings of further
-    spoofers, each a family of its own, as `make_spoofer` takes them; an ONNX file, too.
-    """
+    """Families of attacks, some of `FAMILIES`, in one world with the detector in the loop; `REACH`
+    is in parts of `reach_m`; `optima`: rates of open-loop attacks at their knots [m/s]; `spoofers`:
+    further ones, each a family of its own."""
 
     def __init__(
         self,

@@ -166,10 +166,9 @@ def list_uncovered(summary: Row) -> list[str]:
 
 
 def mark_detector(summary: Row, detector: str) -> str:
-    """Remarks on a detector. Whether and where it is worse than one that never alarms, or alarms by
-    chance; whether the worst attack moves it as far as one that never alarms; whether it alarms
-    before the onset in more runs than a calibration can stand for; whether the search for attacks
-    has failed, and which attacks are above its zero-alarm bound."""
+    """Remarks on a detector: where it is worse than a control, no better than `never`, alarms
+    before the onset in many runs or above its claim; where a search has failed, or is above the
+    bound."""
     (row,) = (row for row in summary["detectors"] if row["detector"] == detector)
     if extract_name(detector) in CONTROLS:
         return "; ".join(["control", *list_bound_marks(row["bracket"])])
@@ -205,9 +204,8 @@ def format_spoofer(spoofer: str, knowledge: str) -> str:
 
 
 def format_target(cell: Row) -> str:
-    """Which detector a spoofer was made for. Returns its label, marked where this is another
-    detector, receiver, scenario, timeline or attack; what the spoofer says of itself where that is
-    all there is; ``-`` for none."""
+    """Which detector a spoofer was made for, marked where here is another detector, receiver,
+    scenario, timeline or attack; what the spoofer says of itself where that is all there is."""
     knowledge = cell["knowledge"]
     if knowledge["detector"] is None:
         return "-" if knowledge["design_time"] == "nothing" else str(knowledge["design_time"])

@@ -192,11 +192,9 @@ class Panel:
         drop: bool = True,
         tick: Callable[[float], None] = lambda _: None,
     ) -> list[Runs]:
-        """What detectors make of attacks, each by its number. `drop`: as of `play_side_by_side`.
-
-        Equal attacks are played once, and those that go side by side share a pass.  A spoofer that
-        observes statistics has a pass of its own with every detector in the loop.
-        """
+        """What detectors make of attacks, each by its number; `drop`: as of `play_side_by_side`.
+        Equal attacks are played once, and those side by side share a pass; a spoofer that observes
+        statistics has a pass of its own with every detector in the loop."""
         wanted: dict[str, tuple[PanelAttack, set[int]]] = {}
         for each, number in attacks:
             wanted.setdefault(each.key, (each, set()))[1].add(number)

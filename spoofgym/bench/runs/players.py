@@ -47,9 +47,8 @@ FITTED = "fitted"
 
 
 def add_tuned_setting(spec: Any) -> Spec:
-    """A spoofer's spec with one setting to be fitted to the alarm budget, where it has none yet.
-    That is the usual one of `DEFAULT_SPOOFERS` for a name without settings, and else the amplitude
-    of its commands; an amplitude that is given stays."""
+    """A spoofer's spec with one setting to be fitted to the alarm budget, where it has none yet:
+    that of `DEFAULT_SPOOFERS` for a name alone, and else the amplitude, unless one is given."""
     given: Spec = {"name": spec} if isinstance(spec, str) else dict(spec)
     usual = {each["name"]: each for each in DEFAULT_SPOOFERS}
     if len(given) == 1 and given["name"] in usual:

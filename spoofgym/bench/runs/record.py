@@ -319,16 +319,12 @@ def compute_displacement(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray
 def undetected_displacement(
     error: ArrayLike, first_alarm: ArrayLike, time_to_alert: int
 ) -> FloatArray:
-    r"""Largest error with no alarm up to the time to alert after it.
+    r"""Largest error with no alarm up to the time to alert after it, (R,) [m].
 
     .. math:: D_u = \max_{0 \le k < a - h} e_k, \qquad e_0 = 0
 
-    with the first alarm at epoch a and h epochs to alert: what was induced within h epochs before
-    the alarm, or at it, does not count.
-
-    `error` (K, R) at the epochs 1 to K after the onset [m]; what comes after the alarm may be NaN;
-    `first_alarm` (R,) epoch of the first alarm after the onset, from 1 on; 0 without an
-    alarm up to epoch K + h; returns (R,) [m].
+    with the first alarm at epoch a and h epochs to alert. `error` (K, R) [m] from the first epoch
+    after the onset on, which may be NaN after the alarm; `first_alarm` (R,), 0 for none.
     """
     e = np.asarray(error, dtype=np.float64)
     largest = np.maximum.accumulate(np.concatenate([np.zeros((1, e.shape[1])), e]))

@@ -62,9 +62,8 @@ NOMINAL = "nominal"  # footing of detectors of which no rate was requested
 
 
 def operating_point(config: Mapping[str, Any], detector: str) -> dict[str, Any]:
-    """What was requested of a detector: ``claimed``, and the ``footing`` of its comparisons. The
-    footing is the rate; ``"nominal"`` where none was requested, and ``"any"`` of a detector that
-    never alarms."""
+    """What was requested of a detector: ``claimed``, and the ``footing`` of its comparisons, the
+    rate; ``"nominal"`` where none was requested, and ``"any"`` of a detector that never alarms."""
     found = config["calibrations"].get(detector, [])
     rates = {point["false_alarms_per_hour"] for point in found}
     claimed = None
@@ -80,10 +79,9 @@ def operating_point(config: Mapping[str, Any], detector: str) -> dict[str, Any]:
 
 
 def score_detector(clean: RunRecord) -> dict[str, Any]:
-    """False alarms of a detector and their price, from its runs without attack. Per run, per hour,
-    and per epoch of the window, which is the availability that is lost; in the warm-up; satellites
-    that are blamed without an attack, in satellite seconds an hour, None where channels are not
-    judged; RMS distance from the truth, and the largest while coasting."""
+    """False alarms of a detector and their price, from its runs without attack: availability that
+    is lost; satellites blamed [s an hour], None where channels are not judged; distance from the
+    truth."""
     records, window_s = clean.records, clean.window * clean.interval_s
     warm = int(records["warmup_alarm"].sum())
     per_run = clopper_pearson(int(clean.alarmed.sum()), clean.runs)
@@ -107,9 +105,8 @@ def score_detector(clean: RunRecord) -> dict[str, Any]:
 
 
 def score_protection_level(clean: RunRecord) -> dict[str, Any]:
-    """Protection level of a detector that has one, its median over the clean runs, and the parts of
-    the Stanford diagram in which their epochs are; only ``why`` where the attack is longer than
-    the level is for."""
+    """Protection level of a detector that has one, median over the clean runs, and the parts of the
+    Stanford diagram; only ``why`` where the attack is longer than the level is for."""
     if "protection_level_m" not in clean.records:
         return {}
     window_s = clean.window * clean.interval_s
@@ -145,10 +142,9 @@ Gap = tuple[str, str | None, Estimate, float]
 def compare_controls(
     cells: Sequence[RunRecord], protections: Sequence[Protection], footings: FalseAlarmGroups
 ) -> list[dict[str, Any]]:
-    """Paired differences, detector less control, over the runs that count for both. Returns a row
-    for each score: ``score``, ``spoofer`` or None, ``detector``, ``control``, ``difference_m``,
-    ``above`` where its interval lies above 0, ``below`` where it lies below by more than `ALIKE` of
-    what the control lets through."""
+    """Paired differences [m], detector less control, over the runs that count for both: ``above``
+    where the interval lies above 0, ``below`` where it lies below by over `ALIKE` of the control's
+    own."""
     pairs = [(d, c) for c in controls(footings) for d in footings if comparable(footings, d, c)]
     return [
         {
@@ -246,16 +242,10 @@ def compute_bounds(
     protection: Row | None,
     searches: Sequence[Row],
 ) -> Row:
-    """Bracket of a detector, JSON-able.
-
-    `point`: ``detector``, and the ``claimed`` rate and ``footing`` of `operating_point`; `limits`:
-    of the campaign; `cells`, `protection`, `searches`: scores of the detector's cells, of its
-    protection, and what was tuned against it.
-
-    Returns ``floor_m`` by score, None where it has none; ``best_attack`` within the budget and
-    ``open_loop``; ``zero_alarm``; ``search_failed``, scores below their floor; and
-    ``above_zero_alarm``, attacks whose mean is above the bound.
-    """
+    """Bracket of a detector, JSON-able, by its scores and what was tuned against it; `point`: the
+    rate of `operating_point`. ``floor_m`` by score; ``best_attack`` within the budget and
+    ``open_loop``; ``zero_alarm``; ``search_failed``, scores below their floor;
+    ``above_zero_alarm``, attacks whose mean is above that bound."""
     floors = select_lower_limits(point, limits["floor"])
     attacks = [cell for cell in cells if cell["spoofer"] != "none"]
     found = [_score_attack(cell) for cell in attacks]
@@ -402,13 +392,10 @@ def estimate_reach(
 
 
 def compute_times(cell: RunRecord) -> dict[str, Any]:
-    """When the attack was noticed, of the runs that are silent before the onset.
-
-    ``missed``: of the runs that count whose error crosses the alert limit, those without an alarm
-    up to the time to alert after; ``after_crossing_s``: of the same, median from the crossing to
-    the alarm; ``detected`` and ``chance``: alarms by the end, by what raised them; ``delay_s``:
-    median from the onset to a detection; ``survival``: share still undetected by time.
-    """
+    """When the attack was noticed, of the runs that are silent before the onset: ``missed`` of
+    those whose error crosses the alert limit, up to the time to alert after; ``after_crossing_s``,
+    their median time from there to the alarm; ``detected`` and ``chance`` by the end; ``delay_s``,
+    median from the onset to a detection; ``survival``, share still undetected by time."""
     records, step = cell.records, cell.interval_s
     silent = ~records["warmup_alarm"]
     first, twin = records["first_alarm"][silent], records["twin_alarm"][silent]
@@ -451,9 +438,8 @@ def _median(x: NDArray[Any], clusters: NDArray[np.int64]) -> Estimate:
 
 
 def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, Any]:
-    """Protection of a detector: what the worst attacks exceed, and P(HMI | attack). The worst of
-    all winners counts, whatever each was chosen for, so that P(HMI | attack) never grows with the
-    limit, nor does what is exceeded with the share, and neither contradicts the other."""
+    """What the worst attacks exceed, and P(HMI | attack). The worst of all winners counts, whatever
+    each was chosen for, so that no figure contradicts another."""
     aims = [aim for winner in found.winners for aim in winner.aims]
     searched = sorted({aim.limit_m for aim in aims if aim.limit_m is not None} & set(limits))
     skies = None if found.skies is None else len(found.skies)

@@ -135,10 +135,9 @@ class DetectorScore:
         return clopper_pearson(int(alarmed.sum()), len(alarmed))
 
     def difference_to(self, other: DetectorScore, family: str | None = None) -> Estimate:
-        """P(HMI | attack) less that of another detector, paired by sky, with a 95 % interval.
-        Both use the same runs, except in ``chance-alarm``, where each has its own. It compares the
-        worst family of each, or `family`. Raises a ValueError where the task, `runs`, `entropy` or
-        the families of the two differ."""
+        """P(HMI | attack) of the worst family of each, or of `family`, less that of another
+        detector, paired by sky. Both have the same runs, except in ``chance-alarm``; a ValueError
+        where they have not."""
         mine, theirs = self._draw_pair(other, family)
         return percentiles(mine[0] - theirs[0], mine[1] - theirs[1])
 

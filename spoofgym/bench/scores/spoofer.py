@@ -70,10 +70,9 @@ class SpooferScore:
         return sees_statistics(self.knowledge)
 
     def ratio_to(self, other: SpooferScore, *, oracles: bool = False) -> Estimate:
-        """Displacement relative to another spoofer's on the same runs, with a paired 95 % interval,
-        which is that of the runs at the amplitudes that were found.
-        Raises a ValueError where the runs are not the same, or where only one of the two is an
-        oracle and `oracles` is not set."""
+        """Displacement relative to another spoofer's on the same runs, paired, at the amplitudes
+        that were found. A ValueError where runs differ, or one alone is an oracle and `oracles` is
+        not set."""
         if self.oracle != other.oracle and not oracles:
             raise ValueError(
                 f"{self.spoofer} ({self.knowledge}) can't be compared with {other.spoofer} "

@@ -344,10 +344,9 @@ def _around(value: float, grid: list[float], steps: Sequence[float]) -> list[flo
 
 
 def _between(grid: list[float], k: int, moved: list[FloatArray], aim: Aim) -> list[float]:
-    """Values halfway from one of a grid to both next ones, and what just passes an alert limit. The
-    error that a blind attack induces grows in proportion to its amplitude. Of what passes the
-    limit, as little as is enough; and the least that does so in any run, and in half of the
-    silent."""
+    """Values halfway from one of a grid to both next ones, and what just passes an alert limit: an
+    error grows with the amplitude. Of what passes it as little as is enough; and the least that
+    does so in any run, and in half of the silent."""
     at, low, high = grid[k], grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
     near = [math.sqrt(low * at), math.sqrt(at * high)]
     if aim.limit_m is not None:

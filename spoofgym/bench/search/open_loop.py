@@ -479,9 +479,9 @@ class Optima:
         return {**played, "aims": found, "shapes": shape}
 
     def _zero_alarm(self, detector: PlayerSpec) -> dict[str, list[float]]:
-        """Shape of the attack that gets farthest without an alarm of its own doing, if known. It is
-        fitted, and no start of the search, which got less far from there in its few generations: 49
-        m against `cusum` of range rates, and 54 m from plain shapes."""
+        """Shape of the attack that gets farthest without an alarm, if known: fitted, and no start
+        of the search, which got less far from there (49 m, not 54, against `cusum` of range
+        rates)."""
         rates = self.bounds.zero_alarm(detector).rates_mps
         shape = np.mean(rates, axis=0) if rates else np.zeros(1)
         return {ZERO_ALARM: shape.tolist()} if np.any(shape > 0.0) else {}
@@ -569,9 +569,9 @@ def fit(
     optima: Callable[[], Optima],
     tick: Callable[[float], None] = lambda _: None,
 ) -> Iterator[TuningResult]:
-    """Search for a spoofer's setting against detectors of a panel, in their order; of a blind
-    optimum for its curve before that. By the rule `EXACT`, where the best of several curves is
-    played, its displacement is scored on runs that it was not chosen on."""
+    """Search for a spoofer's setting against detectors of a panel, in their order; of an open-loop
+    attack for its curve first, the best of several being scored on runs that it was not chosen
+    on."""
     if not entry.needs_search:
         yield from _tune(panel, [(k, d, entry) for k, d in detectors.items()], settings, tick)
         return
