@@ -19,15 +19,8 @@ from ...limits.log_replay import FEWEST_WINDOWS, RATE_LIMIT_MPS, LogReplay
 from ...receiver.log import InnovationLog
 from ...spoofers import SpooferContext, make_spoofer
 from ..runs.record import MEASURES, undetected_displacement
+from ..scores import statistics
 from ..scores.at_budget import AtBudget, score_at_budget
-from ..scores.statistics import (
-    BUDGET,
-    LEVEL,
-    Estimate,
-    bootstrap_mean,
-    bounded_mean,
-    draw_resamples,
-)
 from .alarm_amplitude import ReplayRuns, trace_alarms
 from .amplitude import Tuning
 from .backends import ReplayBackend
@@ -66,8 +59,8 @@ class PlayedSpoofer(NamedTuple):
     they do, with intervals over windows [m]."""
 
     spoofer: str
-    alarm_rate: Estimate
-    displacement: Estimate
+    alarm_rate: statistics.Estimate
+    displacement: statistics.Estimate
 
     def as_json(self) -> dict[str, Any]:
         parts = {"alarm_rate": self.alarm_rate.as_json(), MOVED: self.displacement.as_json()}
@@ -165,7 +158,7 @@ def attack_log(
             f"{label} alarms in {replay.runs - backend.runs} of {replay.runs} windows without an "
             "attack: take thresholds of the log, by false_alarms_per_hour",
         )
-        budget = max(BUDGET, -math.expm1(math.log(LEVEL) / backend.runs))
+        budget = max(statistics.BUDGET, -math.expm1(math.log(statistics.LEVEL) / backend.runs))
         families = [
             score
             for share in (budget, 0.5) * (not spoofers)
@@ -215,8 +208,8 @@ def play_spoofer(
 
 def _play_named(backend: ReplayBackend, replay: LogReplay, spec: Any) -> PlayedSpoofer:
     moved, alarmed = play_spoofer(replay, spec, backend.rows)
-    own = bounded_mean(alarmed, backend.rows, 0.0)
-    mean = bootstrap_mean(moved, draw_resamples(backend.rows))
+    own = statistics.bounded_mean(alarmed, backend.rows, 0.0)
+    mean = statistics.bootstrap_mean(moved, statistics.draw_resamples(backend.rows))
     return PlayedSpoofer(Path(label_spec(spec)).stem, own, mean)
 
 
