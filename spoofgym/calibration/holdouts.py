@@ -216,8 +216,7 @@ def check(
     """Replay the first runs of calibrations, and raise where a maximum is another one. Not those of
     a detector that draws by the last bits of innovations: its runs differ by processor, not its
     rate."""
-    parts = inner_detectors(detectors)
-    pairs = list(zip(calibrations, parts, strict=True))
+    pairs = list(zip(calibrations, inner_detectors(detectors), strict=True))
     for calibration, detector in pairs:
         identity, rescaled = describe_identity(detector), calibration.rescale is not None
         calibration.check_matches(setup.conditions.settings, identity, setup.name, rescaled)

@@ -121,8 +121,7 @@ def bind_to_log(
         raise ValueError(
             f"{label} tests {absent[0]}, which the log does not have: give it signals={other}"
         )
-    seen = np.isfinite(log.innovation)
-    columns = zip(log.variance.T, seen.T, strict=True)
+    columns = zip(log.variance.T, np.isfinite(log.innovation).T, strict=True)
     scale = np.array([np.median(x[has]) if has.any() else 1.0 for x, has in columns])
     n = len(log.channels)
     for half in np.split(scale, 2):  # what the log's filter does not use is no noise of a test

@@ -174,8 +174,7 @@ def attack_(
             series = f"{row['detector']}, {100.0 * row['budget']:.2g} % alarm"
             lines.setdefault(row["family"], []).append(Dot(series, row[MOVED], not row["at_limit"]))
         dots = [DotRow(family, own) for family, own in lines.items()]
-        draw = draw_dots(dots, "undetected displacement [m]")
-        save_drawing(draw, dots_height(dots), picture)
+        save_drawing(draw_dots(dots, "undetected displacement [m]"), dots_height(dots), picture)
     if as_json:
         print_json(results)
         return

@@ -161,8 +161,7 @@ class Duel:
     @property
     def deciding(self) -> NDArray[np.bool_]:
         """(B,) bool, whether the spoofer decides before the coming epoch."""
-        due = self._decisions.due(self.score.step_count)
-        return np.asarray(due & ~self._awaits_onset())
+        return np.asarray(self._decisions.due(self.score.step_count) & ~self._awaits_onset())
 
     def _awaits_onset(self) -> NDArray[np.bool_]:
         """(B,) bool, whether the coming epoch is before the onset."""

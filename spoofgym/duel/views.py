@@ -87,8 +87,7 @@ class SpooferSide:
         return core
 
     def opponents(self) -> list[str]:
-        drawn = self.core.engine.simulator.detector.memory["opponent"]
-        return [self.labels[k] for k in drawn]
+        return [self.labels[k] for k in self.core.engine.simulator.detector.memory["opponent"]]
 
 
 class DetectorCore:

@@ -224,8 +224,7 @@ class AuditCells(Experiment):
             yield from self._false_alarms(group)
         elif part == AGES:
             for each in group:
-                probe = worlds.probe_ages(each.judge, size.twins, size.ages)
-                yield Result(probe._asdict())
+                yield Result(worlds.probe_ages(each.judge, size.twins, size.ages)._asdict())
         else:
             few, entropy = size.floor_worlds, self.of.entropy
             bounds = DisplacementBounds(worlds.world, [group[0].player], entropy, floor_worlds=few)
@@ -254,8 +253,7 @@ class AuditCells(Experiment):
             winners = [(*mine, *theirs) for mine, theirs in zip(winners, others, strict=True)]
         panel = worlds.panel(group, "evaluation", self.of.runs, **where)
         for k, (head, worst) in enumerate(zip(heads, winners, strict=True)):
-            found = Protection(head, worst, panel.counts[:, k], panel.sky, None)
-            yield Result(*found.parts())
+            yield Result(*Protection(head, worst, panel.counts[:, k], panel.sky, None).parts())
 
     def _find_worst(
         self,

@@ -192,8 +192,7 @@ def best_detector(
     Response
         One of them, as it was; nothing but its name has been decided on these runs.
     """
-    matrix = game.on(SELECTION, runs, entropy).matrix([mix], detectors, oracles=True)
-    values = matrix.values[0]
+    values = game.on(SELECTION, runs, entropy).matrix([mix], detectors, oracles=True).values[0]
     k = int(np.nanargmin(values))
     best = {each.label: float(x) for each, x in zip(detectors, values, strict=True)}
     by_family = {each.label: each for each in detectors}
@@ -238,8 +237,7 @@ def _curves(
     curves = []
     for share in SHARES:
         game.progress.advance(0.0, f"optimized open-loop attack, {100 * share:g} % alarms")
-        found = OpenLoopOptimizer(backend, share, budget.blind).search(starts)
-        curves.append(found.rates_mps)
+        curves.append(OpenLoopOptimizer(backend, share, budget.blind).search(starts).rates_mps)
     return curves, tuple(notes)
 
 

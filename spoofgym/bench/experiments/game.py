@@ -74,8 +74,7 @@ class Pairs(Experiment):
             alone = self._is_alone((b, a))
             group = f"{a.label} against {b.label if alone else f'{passive} detectors'}"
             key, identity = self._identity(a, b)
-            cell = Cell(key, identity, 1.0 if alone else 1.0 / passive, group=group)
-            found[key] = cell, a, b
+            found[key] = Cell(key, identity, 1.0 if alone else 1.0 / passive, group=group), a, b
         return found
 
     def _is_alone(self, pair: tuple[PlayerSpec, PlayerSpec]) -> bool:

@@ -126,8 +126,7 @@ def run_experiment(
         try:
             finished(results)
             if plan.count:
-                most = min(jobs, plan.count)
-                workers = _workers(experiment, store, backend, most, threads)
+                workers = _workers(experiment, store, backend, min(jobs, plan.count), threads)
                 for _ in _run_all(plan, stack.enter_context(workers), store, bar):
                     finished(results)
         except KeyboardInterrupt as error:

@@ -150,8 +150,7 @@ class Suite:
 
     @cached_property
     def world(self) -> World:
-        named = {name: getattr(self, name) for name in ("env", *WORLD, "settings")}
-        return World.of(**named)
+        return World.of(**{name: getattr(self, name) for name in ("env", *WORLD, "settings")})
 
     @property
     def fit_runs(self) -> int:

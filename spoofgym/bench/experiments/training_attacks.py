@@ -97,8 +97,7 @@ class TrainingAttacks:
                 **self._spoofers[own],
                 AMPLITUDE: round_setting(log_uniform(rng, AMPLITUDES)),
             }
-        goal_m = self._reach_m * log_uniform(rng, REACH)
-        spec = self._makers[self.families[family]](rng, goal_m)
+        spec = self._makers[self.families[family]](rng, self._reach_m * log_uniform(rng, REACH))
         if has_heading(self._context.action_names):
             spec["heading_deg"] = round_setting(rng.uniform(0.0, 360.0))
         return family, spec

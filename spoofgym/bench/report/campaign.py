@@ -405,8 +405,7 @@ def group_optima(summary: Row) -> dict[str, list[str]]:
         if optimum is not None and optimum["by"] is not None:
             start = optimum["unbeaten_start"]
             text = f" (search found nothing better than the {start})" if start else ""
-            name = row["detector"] + text
-            labels.setdefault(optimum["by"], []).append(name)
+            labels.setdefault(optimum["by"], []).append(row["detector"] + text)
     return labels
 
 

@@ -87,8 +87,7 @@ def replay_worst_attack(
     onset = played[worst.family].onset
     numbers = select_runs(world.setup, plan.entropy, "evaluation", plan.runs, onset)
     player = PlayerSpec(attack.spoofer, SPOOFER, dict(attack.spec))
-    run = int(numbers[moved.argmax()])
-    episode = play_episode(world, detector, player, run, plan.entropy)
+    episode = play_episode(world, detector, player, int(numbers[moved.argmax()]), plan.entropy)
     return record_replay(episode, task.alert_limit_m)
 
 

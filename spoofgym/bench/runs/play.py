@@ -120,8 +120,7 @@ class SpooferController:
         self.engine, before = engine, self._parts
         self._decisions = self._decisions.of(rows)
         own = [np.flatnonzero(np.isin(part.rows, rows)) for part in before]
-        parts = zip(before, own, strict=True)
-        left = [(part, among) for part, among in parts if len(among)]
+        left = [(part, among) for part, among in zip(before, own, strict=True) if len(among)]
         self._parts = [
             _Part(part.spec, make_spoofer(part.spec), np.searchsorted(rows, part.rows[among]))
             for part, among in left
@@ -138,8 +137,7 @@ def _shaped_action(spoofer: Spoofer, seen: NDArray[np.float32]) -> FloatArray:
         action = np.asarray(spoofer.act(seen), dtype=np.float64)
     except (LookupError, AttributeError) as error:
         inner = getattr(spoofer, "spoofer", spoofer)
-        what = f"{type(inner).__name__} raises {describe_error(error)}"
-        raise RuntimeError(what) from error
+        raise RuntimeError(f"{type(inner).__name__} raises {describe_error(error)}") from error
     names = spoofer.context.action_names
     if action.shape != (len(seen), len(names)):
         raise ValueError(

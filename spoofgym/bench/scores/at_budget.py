@@ -99,8 +99,7 @@ class AlarmCurve:
         """(S,) scores (S, J) of samples at the amplitudes, at one (S,) of each sample."""
         if len(self.amplitudes) == 1:
             return np.asarray(scores[:, 0])
-        place = np.searchsorted(self.amplitudes, at) - 1
-        low = np.clip(place, 0, len(self.amplitudes) - 2)
+        low = np.clip(np.searchsorted(self.amplitudes, at) - 1, 0, len(self.amplitudes) - 2)
         part = (at - self.amplitudes[low]) / np.diff(self.amplitudes)[low]
         each, part = np.arange(len(at)), np.clip(part, 0.0, 1.0)
         return np.asarray((1.0 - part) * scores[each, low] + part * scores[each, low + 1])

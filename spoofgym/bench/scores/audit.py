@@ -75,8 +75,7 @@ class AgeProbe(NamedTuple):
         """Part of the ramps beyond the alert limit with no alarm in time, over all ages."""
         crossed = self.crossed.sum(axis=(0, 1))
         rows = crossed > 0
-        late = self.missed.sum(axis=(0, 1)) / np.maximum(crossed, 1)
-        return self._estimate_mean(late, rows)
+        return self._estimate_mean(self.missed.sum(axis=(0, 1)) / np.maximum(crossed, 1), rows)
 
     def _estimate_mean(self, values: FloatArray, rows: Mask, least: float = 0.0) -> Estimate:
         return bounded_mean(values[rows], select_clusters(self.sky)[rows], least)
@@ -100,8 +99,7 @@ class AgeProbe(NamedTuple):
                 worse.append((k, less))
         if not worse:
             return
-        blind = (each for each in worse if shares[each[0]] <= BLIND * shares[best])
-        first = next(blind, None)
+        first = next((each for each in worse if shares[each[0]] <= BLIND * shares[best]), None)
         k, (_, low, high) = first or worse[-1]
         words = "finds less the longer it has been switched on"
         if first is not None:

@@ -450,8 +450,7 @@ def _score_aim(found: record.Protection, aim: record.Aim) -> dict[str, Any]:
 
 def score_hazard(found: record.Protection, measure: str, limit: float) -> dict[str, Any]:
     """P(HMI | attack) at an alert limit [m]."""
-    aim = record.Aim(measure, limit_m=limit)
-    winner = found.worst(aim)
+    winner = found.worst(record.Aim(measure, limit_m=limit))
     (p,) = statistics.exceedance(winner.displacement[measure][found.counts], [limit])
     return {"measure": measure, "alert_limit_m": limit, **p.as_json(), **_attack(winner)}
 

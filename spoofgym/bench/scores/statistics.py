@@ -39,8 +39,7 @@ class Estimate(NamedTuple):
 
     @classmethod
     def of(cls, data: Mapping[str, float | None]) -> Estimate:
-        numbers = {key: math.nan if (x := data[key]) is None else x for key in cls._fields}
-        return cls(**numbers)
+        return cls(**{key: math.nan if (x := data[key]) is None else x for key in cls._fields})
 
     def as_json(self) -> dict[str, float | None]:
         return {

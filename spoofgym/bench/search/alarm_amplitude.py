@@ -279,8 +279,7 @@ def tune_at_budget(
     for k, value in enumerate(curve.amplitudes.tolist()):
         mean = float(curve.displacement[MEASURES[0]][k].mean()) if curve.runs else 0.0
         found = Stealth(curve.runs, int(curve.alarmed[k].sum()), mean)
-        within = found.seems_to_keep(settings.budget)
-        trials.append(Trial.of(value, panel.runs, found, within))
+        trials.append(Trial.of(value, panel.runs, found, found.seems_to_keep(settings.budget)))
     return TuningResult(
         detector=detector,
         spoofer=entry.label,

@@ -109,8 +109,7 @@ class Trial:
     @classmethod
     def of(cls, value: float, runs: int, found: Stealth, within_budget: bool) -> Trial:
         """Trial by what came of it; of no run that counts the rate is 1."""
-        known = found.runs > 0
-        rate, mean = (found.alarm_rate, found.displacement_m) if known else (1.0, 0.0)
+        rate, mean = (found.alarm_rate, found.displacement_m) if found.runs > 0 else (1.0, 0.0)
         return cls(value, runs, found.runs, rate, found.alarm_limit, mean, within_budget)
 
 
@@ -225,8 +224,7 @@ def tune_amplitude(
     setting = entry.tuned
     if setting is None:
         raise ValueError(f"{entry.label!r} has no setting that is to be tuned")
-    any_value = make_spoofer(entry.with_value(1.0))
-    low, high = get_tuning_range(any_value, panel.setup)
+    low, high = get_tuning_range(make_spoofer(entry.with_value(1.0)), panel.setup)
     high = high if entry.largest is None else entry.largest
     grid = build_log_grid(low, high, settings.values)
     search = _Search(panel, number, entry, settings)

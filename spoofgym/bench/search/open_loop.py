@@ -209,8 +209,7 @@ class OpenLoopOptimizer:
     def _batch(self, turn: int) -> Rows:
         """Runs of a turn; all have theirs before any comes again."""
         size = min(self.settings.batch, len(self.all_runs))
-        parts = max(len(self.all_runs) // size, 1)
-        again, part = divmod(turn, parts)
+        again, part = divmod(turn, max(len(self.all_runs) // size, 1))
         order = np.random.default_rng([self.settings.seed, again]).permutation(self.all_runs)
         return np.asarray(np.sort(order[part * size : (part + 1) * size]))
 
