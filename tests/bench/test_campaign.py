@@ -10,12 +10,7 @@ import pytest
 from spoofgym.bench import CampaignResults, run_campaign, summarize
 from spoofgym.bench.experiments import Store, run_experiment
 from spoofgym.bench.experiments.campaign import Campaign
-from spoofgym.bench.report.campaign import (
-    INTEGRITY,
-    groups,
-    integrity_rows,
-    list_uncovered,
-)
+from spoofgym.bench.report.campaign import INTEGRITY, groups, integrity_rows, list_uncovered
 from spoofgym.bench.report.campaign_page import build_page
 from spoofgym.bench.report.page import render_page
 from spoofgym.bench.runs.panel import Panel

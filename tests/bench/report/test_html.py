@@ -153,10 +153,7 @@ def test_families_of_attacks_have_a_page_finished_or_not(tmp_path):
 def test_an_unsolved_game_says_which_pairs_are_missing(tmp_path):
     store = Store(tmp_path)
     store.open("game", {"env": "any"})
-    arrays = {
-        "undetected_displacement_m": np.array([1.0, 3.0]),
-        "first_alarm": np.array([0, 4]),
-    }
+    arrays = {"undetected_displacement_m": np.array([1.0, 3.0]), "first_alarm": np.array([0, 4])}
     for spoofer, detector in (("ramp", "ewma"), ("step", "ewma"), ("ramp", "cusum")):
         named = {"spoofer": {"name": spoofer}, "detector": [{"name": detector}]}
         record = RunRecord({}, arrays)
