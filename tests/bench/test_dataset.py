@@ -111,8 +111,7 @@ def test_no_family_that_tasks_hold_out_is_in_a_data_set(folder, attack, task, me
 
 
 def test_feedback_sees_its_detector_and_a_spoofer_may_be_a_file(tmp_path):
-    late = small_suite(settings=LATE)
-    write_policy(tmp_path / "late.onnx", late, "blind", (0.0, 0.02))
+    write_policy(tmp_path / "late.onnx", small_suite(settings=LATE), "blind", (0.0, 0.02))
     write_policy(tmp_path / "often.onnx", small_suite(), "blind", (0.0, 0.02))
     farthest = []
     for name, more in (

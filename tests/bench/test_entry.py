@@ -66,8 +66,7 @@ def test_a_good_entry_holds_and_a_false_figure_is_named(player, tmp_path):
     proud = write_entry(good, player=player, figures={**claims, "p_hmi": 0.1})
     result = call(*check(proud, "--seed", "0"))  # the same detector on the same runs
     assert result.exit_code == 1
-    last = result.stdout.splitlines()[-1]
-    assert last == "mine by A. Nyone: claims what is not found: p_hmi"
+    assert result.stdout.splitlines()[-1] == "mine by A. Nyone: claims what is not found: p_hmi"
 
 
 @pytest.mark.parametrize(
@@ -111,8 +110,7 @@ def test_figures_are_found_by_the_names_of_detectors_and_families():
     )
     claim["detectors"]["ewma"]["exceeded_m"]["0.5"] = 3.02  # rounded
     assert all(each.holds for each in compare_figures(claim, found))
-    unknown = {"value": None, "low": None, "high": None}
-    (figure,) = compare_figures({"x": 1.0}, {"x": unknown})
+    (figure,) = compare_figures({"x": 1.0}, {"x": {"value": None, "low": None, "high": None}})
     assert not figure.holds
     with pytest.raises(ValueError, match="no figure 'cusum'; valid: ewma"):
         [*compare_figures({"detectors": {"cusum": 1.0}}, found)]

@@ -24,8 +24,7 @@ pytestmark = pytest.mark.nojit
 def test_every_epoch_is_in_one_part_of_the_stanford_diagram():
     level = np.array([[5.0, 5.0, 5.0, 15.0, np.inf, 5.0]]).T
     error = np.array([[5.0, 9.0, 11.0, 1.0, 99.0, 1.0]]).T
-    alarm = np.array([[False] * 5 + [True]]).T
-    found = record.count_stanford(error, level, alarm, 10.0)
+    found = record.count_stanford(error, level, np.array([[False] * 5 + [True]]).T, 10.0)
     expected = {"nominal": 1, "misleading": 1, "hazardous": 1, "unavailable": 3}
     assert {name: n.tolist() for name, n in found.items()} == {
         f"{name}_epochs": [n] for name, n in expected.items()

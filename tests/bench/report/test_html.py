@@ -156,8 +156,7 @@ def test_an_unsolved_game_says_which_pairs_are_missing(tmp_path):
     arrays = {"undetected_displacement_m": np.array([1.0, 3.0]), "first_alarm": np.array([0, 4])}
     for spoofer, detector in (("ramp", "ewma"), ("step", "ewma"), ("ramp", "cusum")):
         named = {"spoofer": {"name": spoofer}, "detector": [{"name": detector}]}
-        record = RunRecord({}, arrays)
-        store.put(Cell(f"{spoofer} {detector}", named), Result(*record.parts()))
+        store.put(Cell(f"{spoofer} {detector}", named), Result(*RunRecord({}, arrays).parts()))
     text = render_page(build_game_page(store))
     assert "<b>Not finished</b>: step / cusum." in text
     assert "<td>ramp</td><td>ewma</td><td>2</td><td>2.0</td><td>50.0</td>" in text
