@@ -41,15 +41,8 @@ from ..runs.players import (
     specify_spoofer,
 )
 from ..runs.world import CONTROLS, WORLD, World
+from ..search import attack_suite
 from ..search.amplitude import EXACT, Tuning
-from ..search.attack_suite import (
-    NAME,
-    VERSION,
-    Selection,
-    SuiteAttack,
-    list_fitting_attacks,
-    suite_digest,
-)
 from ..search.bounds import DisplacementBounds
 from ..search.open_loop import Optima
 
@@ -130,7 +123,7 @@ class Suite:
         default=False,
         help="Whether detectors may play that know the attack; the report then says which ones do.",
     )
-    selection: Selection | None = setting(
+    selection: attack_suite.Selection | None = setting(
         default=None,
         help="Search for the worst attack of the attack suite, by which detectors are protected; "
         "None for none.",
@@ -278,15 +271,19 @@ class Suite:
         }
 
     @cached_property
-    def suite_attacks(self) -> tuple[SuiteAttack, ...]:
+    def suite_attacks(self) -> tuple[attack_suite.SuiteAttack, ...]:
         """Attacks of the attack suite that fit the victim."""
-        return list_fitting_attacks(self.world.setup, self.world.context)
+        return attack_suite.list_fitting_attacks(self.world.setup, self.world.context)
 
     def _attack_suite(self) -> dict[str, Any] | None:
         """Name, version and search of the attack suite; None where it is not played."""
         if self.selection is None:
             return None
-        named = {"name": NAME, "version": VERSION, "digest": suite_digest(self.suite_attacks)}
+        named = {
+            "name": attack_suite.NAME,
+            "version": attack_suite.VERSION,
+            "digest": attack_suite.suite_digest(self.suite_attacks),
+        }
         return {**named, **dataclasses.asdict(self.selection)}
 
     @cached_property
