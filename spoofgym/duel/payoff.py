@@ -94,24 +94,16 @@ class FixedThreshold:
 
 
 class RunningThreshold:
-    r"""Threshold that follows the false alarms of the clean episodes that have been played, each of
-    them as a whole; an attacked episode moves nothing, not even by an alarm before its onset.
-
-    After every clean episode,
+    r"""Threshold (B,) that follows the false alarms of the clean episodes, each as a whole
+    (`gibbs2021`, eq. 2, with their bound); an attacked one moves nothing, not even by an alarm
+    before its onset.
 
     .. math:: h \leftarrow h + g\,(a - \alpha)
 
-    where a is 1 if it had an alarm.  The mean of a over n clean episodes is then below
+    where a is 1 if a clean episode had an alarm.  The mean of a over n of them is then below
     :math:`\alpha + (1 + g - h_0) / (g n)`, whatever the detector does, and however it changes.
-    Every receiver has a threshold of its own, which starts again with its seed.
-
-    `false_alarm`: alpha, rate of clean episodes with an alarm, in (0, 1); `values` (B,) of every
-    receiver.
-
-    Notes
-    -----
-    `gibbs2021`, eq. 2, with their bound.  The threshold stays above 0.001, where statistics below
-    that never alarm; it may exceed 1 for a while, when nothing alarms.
+    Every receiver has its own, which starts again with its seed, stays above 0.001, where
+    statistics below that never alarm, and may exceed 1 for a while, when nothing alarms.
     """
 
     FIRST, GAIN = 0.5, 0.1

@@ -20,22 +20,18 @@ PERCENTILES = (5, 50, 95)
 
 @dataclass(frozen=True)
 class RunRecord:
-    """What a detector and a spoofer did in the runs of a split.
+    """What a detector and a spoofer did in the runs of a split: `head`, labels, settings and
+    lengths, as JSON; `series` by epoch: ``time_s`` since the onset, ``alarmed`` part of the runs,
+    ``error_m`` percentiles; and `records` (R,):
 
-    - `head`: labels, settings and lengths, JSON-able;
-    - `records` (R,) arrays: ``warmup_alarm`` bool; ``first_alarm``, and ``twin_alarm`` of the clean
-      twin, epoch from 1 on, 0 for none; ``alarm_epochs`` how many; ``crossing`` first epoch with
-      the induced error above the alert limit, 0 for none; ``undetected_displacement_m``, the same
-      ``undetected_vertical_m``, ``undetected_along_m`` the target direction, and of the total error
-      ``undetected_total_m`` and ``undetected_total_vertical_m``, as far as there are these axes;
-      ``largest_error_m`` and ``final_error_m`` of the command phase, alarmed or not;
-      ``navigation_rms_m`` distance from the truth; ``coasting_epochs``, and ``coasting_error_m``
-      the largest distance from the truth in them; ``blamed`` channels, summed over the epochs;
-      ``sky`` which one it flew under; ``peak_ratio`` of statistic to threshold; of clean runs of a
-      detector with a protection level ``protection_level_m``, its median, and how many epochs are
-      what in the Stanford diagram (`count_stanford`);
-    - `series`: by epoch: ``time_s`` since the onset, ``alarmed`` part of the runs, ``error_m``
-      percentiles over all runs.
+    - ``warmup_alarm`` bool; ``first_alarm``, and ``twin_alarm`` of the clean twin, epoch from 1 on,
+      0 for none; ``alarm_epochs``; ``crossing``, first epoch beyond the alert limit, 0 for none;
+    - ``undetected_displacement_m``, the same ``vertical``, ``along`` the target direction, and of
+      the ``total`` error, as far as there are these axes; ``largest_error_m`` and ``final_error_m``
+      of the command phase, alarmed or not; ``navigation_rms_m`` distance from the truth;
+    - ``coasting_epochs``, and the largest distance from the truth in them; ``blamed`` channels,
+      summed; ``sky`` it flew under; ``peak_ratio``; of clean runs of a detector with a protection
+      level its median, and epochs by the Stanford diagram (`count_stanford`).
     """
 
     head: dict[str, Any]
