@@ -90,7 +90,12 @@ def bench(
         "protection out.",
     ),
     threads: opt.Threads = None,
-    jobs: opt.Jobs = None,
+    jobs: int | None = Option(
+        None,
+        min=1,
+        help="Processes of this machine that compute at a time. Default: 1; in the default world, "
+        "the processors.",
+    ),
     backend: opt.Backend = "local",
     shard: opt.Shard = None,
 ) -> None:

@@ -23,9 +23,21 @@ if TYPE_CHECKING:
 class RunOptions(SuiteOptions):
     """Options of one run."""
 
-    detector: opt.Detector = None
-    spoofer: opt.Spoofer = "ramp"
-    number: opt.Run = 0
+    detector: str | None = Option(
+        None,
+        help="Detector; an .onnx file, too. Default: ewma, or one that suits the victim. "
+        f"{opt.SPEC_HELP}",
+    )
+    spoofer: str = Option(
+        "ramp", help=f"Spoofer; a shipped name or an .onnx file, too. {opt.SPEC_HELP}"
+    )
+    number: int = Option(
+        0,
+        "--run",
+        min=0,
+        max=opt.LARGEST_RUNS - 1,
+        help="Which of the benchmark's evaluation runs.",
+    )
 
 
 @with_options
