@@ -177,8 +177,7 @@ def _count_alarms(
     ages: tuple[tuple[float, int, int], ...] = ()
     if np.ptp(found.age_s) > 0.0:
         bins = np.searchsorted(AGES_S, found.age_s, side="right") - 1
-        of = [found.alarmed[bins == k] for k in range(len(AGES_S))]
-        counted = zip(AGES_S, of, strict=True)
+        counted = zip(AGES_S, [found.alarmed[bins == k] for k in range(len(AGES_S))], strict=True)
         ages = tuple((age, len(own), int(own.sum())) for age, own in counted if len(own))
     nominal = point.false_alarms_per_hour
     counts = runs, alarms, promised, low, high, rate, early, window_s, each, nominal, ages

@@ -143,8 +143,7 @@ def _only_json() -> Iterator[None]:
 
 def print_json(value: Any) -> None:
     """Print JSON; neither NaN nor infinity is."""
-    text = json.dumps(value, indent=2, allow_nan=False)
-    typer.echo(text, file=outputs[-1] if outputs else None)
+    typer.echo(json.dumps(value, indent=2, allow_nan=False), file=outputs[-1] if outputs else None)
 
 
 def print_lines(lines: Iterable[str]) -> None:

@@ -185,13 +185,12 @@ def check_entry(folder: Path, options: AuditOptions, as_json: bool) -> None:
     if as_json:
         print_json({"entry": entry.model_dump(), "figures": rows, "audit": record})
     else:
-        table = Table(
+        Table(
             ("figure", "name"),
             ("claimed", "claimed", "{:.4g}".format),
             ("played", dict, interval),
             ("holds", "holds", yes_no),
-        )
-        table.print(f"{entry.task}, {budget}, seed {record['entropy']}", rows)
+        ).print(f"{entry.task}, {budget}, seed {record['entropy']}", rows)
         print_lines([*(f"Report: {path}" for path in written), answer])
     raise typer.Exit(bool(false))
 

@@ -107,9 +107,8 @@ def limits(
         setup, frontier, false_alarms_per_hour=rate, budget=alarm_budget, seed=options.seed
     )
     if spoofer:
-        player = suite.spoofer_players[-1]
         record["divergence"] = report.divergence_record(
-            setup, frontier, player, record["p_fa"], alarm_budget
+            setup, frontier, suite.spoofer_players[-1], record["p_fa"], alarm_budget
         )
     if detector or task:
         suite = calibrate_suite(suite, detector, threads)

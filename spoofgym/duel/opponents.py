@@ -135,8 +135,7 @@ class SpooferPool:
                 decisions.take(self._decide(k, seen[key], due), due)
             self._commands[k].aim(snapshot.simulator.heading)
             taken = decisions.action(snapshot.step)
-            given = self._commands[k].command(taken, snapshot.simulator.commanded_rate)
-            command[own] = given[own]
+            command[own] = self._commands[k].command(taken, snapshot.simulator.commanded_rate)[own]
         return command
 
     def _decide(self, k: int, seen: NDArray[np.float32], rows: NDArray[np.intp]) -> FloatArray:

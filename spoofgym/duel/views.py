@@ -169,8 +169,7 @@ class DetectorCore:
             "attacked": all_["attacked"] & over,
             "undetected_displacement_m": np.where(over, all_["undetected_displacement_m"], 0.0),
         }
-        result = PlainResult(done.detector_reward, over, np.zeros_like(over), info)
-        return result, self.observe()
+        return PlainResult(done.detector_reward, over, np.zeros_like(over), info), self.observe()
 
     def single(self, action: FloatArray) -> SingleStep:
         result, observation = self.step(action)

@@ -91,8 +91,7 @@ class WeightAverage:
         """Take the weights of a model into the average; the first ones are the average."""
         for name, weight in model.policy.named_parameters():
             now = weight.detach().cpu().numpy().astype(np.float64)
-            before = self.weights.get(name, now)
-            self.weights[name] = self.keeps * before + (1.0 - self.keeps) * now
+            self.weights[name] = self.keeps * self.weights.get(name, now) + (1.0 - self.keeps) * now
 
     @contextmanager
     def apply(self, model: Any) -> Iterator[None]:

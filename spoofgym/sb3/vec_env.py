@@ -284,8 +284,7 @@ class SpoofVecEnv(VecEnv):
         """Call a method of the environment once; its result once for every receiver."""
         if indices is not None:
             raise ValueError(f"`indices` must be None, receivers are one batch; got {indices!r}")
-        result = getattr(self, method_name)(*method_args, **method_kwargs)
-        return [result] * self.num_envs
+        return [getattr(self, method_name)(*method_args, **method_kwargs)] * self.num_envs
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """False for every receiver: a batch can't be wrapped one by one."""

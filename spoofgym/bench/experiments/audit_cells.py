@@ -171,10 +171,9 @@ class AuditCells(Experiment):
         members = len(self._list_attacks(part, defence))
         if SEARCHED in part.letters:
             members += len(AIMS) + len(self.card.get("optima_mps", {}))
-        plays = attack_suite.expected_plays(
+        return attack_suite.expected_plays(
             members, self.of.selection, self.of.runs, attack_suite.ROUNDS
-        )
-        return plays + self.search_plays * (SEARCHED in part.letters)
+        ) + self.search_plays * (SEARCHED in part.letters)
 
     @property
     def search_plays(self) -> float:

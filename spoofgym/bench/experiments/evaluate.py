@@ -262,7 +262,7 @@ def evaluate(
     """
     if task is None and not {*world} - {"detector"}:
         world = {**read_training_world(policy), **world}
-    judge = Evaluator(
+    return Evaluator(
         task,
         runs=runs,
         fit_runs=fit_runs,
@@ -271,8 +271,7 @@ def evaluate(
         threads=threads,
         progress=progress,
         **world,
-    )
-    return judge.score(
+    ).score(
         policy,
         amplitude=amplitude,
         knowledge=knowledge,

@@ -117,8 +117,7 @@ def run_experiment(
     check_choice("backend", kind, BACKENDS)
     if kind != "local":
         _import_backend(kind)
-    outputs = experiment.outputs
-    store.open(experiment.name, experiment.config, outputs=outputs, overwrite=overwrite)
+    store.open(experiment.name, experiment.config, outputs=experiment.outputs, overwrite=overwrite)
     cells = list(experiment.cells())
     plan = _Plan(cells, store, None if shard is None else _check_shard(*shard))
     results = Reader(store, cells)

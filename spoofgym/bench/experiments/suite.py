@@ -197,12 +197,11 @@ class Suite:
 
     def build_bounds(self, **settings: int) -> DisplacementBounds:
         """Floor and zero-alarm bounds; `settings`: ``worlds`` of `Brackets`."""
-        budget = self.tuning.budget
         return DisplacementBounds(
             self.world,
             self.detector_players,
             self.entropy,
-            budget,
+            self.tuning.budget,
             floor_worlds=self.floor_worlds,
             **settings,
         )

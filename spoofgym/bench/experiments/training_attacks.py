@@ -204,8 +204,7 @@ class Attackers:
             spoofer.bind(context)
             spoofer.reset()
             commands.aim(engine.simulator.heading[row : row + 1])
-            decisions = Decisions(own, 1, len(commands.names))
-            self._spoofers.append((spoofer, commands, decisions, seen))
+            self._spoofers.append((spoofer, commands, Decisions(own, 1, len(commands.names)), seen))
 
     def command(self, epoch: int) -> FloatArray:
         """Command (B, a) of an epoch, counted from the onset on."""

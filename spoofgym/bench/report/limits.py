@@ -223,28 +223,26 @@ DIVERGENCE: dict[str, Callable[[Record], str]] = {
 def print_limits(record: Record) -> None:
     """Print all that a record has, but its notes."""
     say, heads = texts("limits.txt.j2"), _heads(record, record["floors_m"][HEADINGS[0]])
-    floors = Table(
+    Table(
         ("heading of the attack", lambda row: f"{row[0]} to the detector"),
         *(
             (head, lambda row, name=name: row[1][name], _format_lower_limit)
             for name, head in heads.items()
         ),
-    )
-    floors.print(say.floor_title(record), record["floors_m"].items())
+    ).print(say.floor_title(record), record["floors_m"].items())
     print(say.check(record))
     if "zero_alarm" in record:
         ZERO_ALARM.print(say.zero_alarm_title(record), record["zero_alarm"])
     found = record.get("divergence")
     if found is not None and found["holds"]:
         cells = found["bounds"]
-        bounds = Table(
+        Table(
             ("", itemgetter(0)),
             *(
                 (head, lambda row, cell=cells[name]: row[1](cell))
                 for name, head in _heads(record, cells).items()
             ),
-        )
-        bounds.print(say.divergence_title(record), DIVERGENCE.items())
+        ).print(say.divergence_title(record), DIVERGENCE.items())
     elif found is not None:
         print(f"{found['spoofer']}: {found['why']}")
     print(say.assumptions(record).rstrip())

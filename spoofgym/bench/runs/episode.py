@@ -86,8 +86,7 @@ class Episode:
         follows is recorded."""
 
         def fill(values: FloatArray) -> FloatArray:
-            missing = np.full((self.onset, *values.shape[1:]), np.nan)
-            return np.concatenate((missing, values))
+            return np.concatenate((np.full((self.onset, *values.shape[1:]), np.nan), values))
 
         found: dict[str, NDArray[Any]] = {"time_s": self.time}
         for side, column in (("", ATTACKED), ("twin_", TWIN)):
@@ -234,8 +233,7 @@ def _draw_flight(ax: Any, episode: Episode) -> None:
     world, onset = divmod(episode.onset_epoch, setup.epochs_each)
     flown = setup.true_position[world * setup.epochs_each :][: setup.epochs_each]
     end, first = onset + setup.steps + setup.hold, onset - episode.onset - setup.filter_only
-    axes = setup.C_en[episode.onset_epoch]
-    north, east = ((flown - flown[onset]) @ axes).T[:2] / 1000.0
+    north, east = ((flown - flown[onset]) @ setup.C_en[episode.onset_epoch]).T[:2] / 1000.0
     ax.plot(east, north, color="#cccccc", lw=2, label="flight")
     ax.plot(east[first : onset + 1], north[first : onset + 1], color=GREY, lw=2, label="warm-up")
     ax.plot(east[onset : end + 1], north[onset : end + 1], color=ORANGE, lw=2.5, label="attack")

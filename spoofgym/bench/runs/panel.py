@@ -281,8 +281,7 @@ class Panel:
             start = self.start if whole else self.start.under(self._build_setup(numbers))
             return start.take(rows)
         if numbers[0] not in self._alone:
-            judge = self.judges[numbers[0]]
-            setup = self.world.copy_with(detector=judge, monitors=self._watched)
+            setup = self.world.copy_with(detector=self.judges[numbers[0]], monitors=self._watched)
             self._alone[numbers[0]] = WarmStart(setup, self.rngs(), threads=self.threads)
         return self._alone[numbers[0]].take(rows)
 
@@ -333,8 +332,7 @@ class NearAlarm(Panel):
         self.world, self.judges, self.threads, self._watched = setup, [judge], threads, []
         last = round(NEAR_ALARM_S / setup.interval_s)
         own = self._build_setup((0,))
-        watched = own.copy_with(monitors=[LateMaxima(last)])
-        everyone = WarmStart(watched, rngs(), threads=threads)
+        everyone = WarmStart(own.copy_with(monitors=[LateMaxima(last)]), rngs(), threads=threads)
         ratio, _ = everyone.simulator.monitor(LateMaxima).pop_maxima()
         order = np.argsort(-ratio[:, 0], kind="stable")
         chosen = np.sort(order[: math.ceil(len(order) / CANDIDATES)])

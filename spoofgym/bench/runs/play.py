@@ -127,8 +127,7 @@ class SpooferController:
         ]
         self._bind()
         for mine, (part, among) in zip(self._parts, left, strict=True):
-            everyone = np.arange(len(among))
-            mine.spoofer.memory.copy_rows(everyone, part.spoofer.memory, among)
+            mine.spoofer.memory.copy_rows(np.arange(len(among)), part.spoofer.memory, among)
 
 
 def _shaped_action(spoofer: Spoofer, seen: NDArray[np.float32]) -> FloatArray:

@@ -155,8 +155,7 @@ class AtBudget(NamedTuple):
 
 def _draw(sky: NDArray[np.int64]) -> FloatArray:
     """(1 + S, R) all runs once, and bootstrap samples of them."""
-    drawn = draw_resamples(select_clusters(sky), RESAMPLES)
-    return np.concatenate([np.ones((1, len(sky))), drawn])
+    return np.concatenate([np.ones((1, len(sky))), draw_resamples(select_clusters(sky), RESAMPLES)])
 
 
 def _scores(curve: AlarmCurve, budget: float, samples: FloatArray) -> dict[str, FloatArray]:

@@ -288,8 +288,7 @@ def _optimum(cells: Sequence[Row], searches: Sequence[Row]) -> Row | None:
     if not found:
         return None
     best = max(found, key=lambda each: (each["within_budget"], float(each["value"])))
-    found_by = {each["spoofer"]: each["found"] or {} for each in searches}
-    search = found_by.get(best["spoofer"], {})
+    search = {each["spoofer"]: each["found"] or {} for each in searches}.get(best["spoofer"], {})
     return {**best, "by": search.get("by"), "unbeaten_start": search.get("unbeaten_start")}
 
 

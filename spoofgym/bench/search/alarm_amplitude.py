@@ -268,8 +268,7 @@ def tune_at_budget(
     curve = trace_alarms(EngineRuns(panel, number, entry, tick), settings)
     factors = draw_threshold_factors(panel, number)
     if factors is not None and curve.runs:
-        elasticity = measure_elasticity(panel, number, entry, settings, curve)
-        curve = replace(curve, elasticity=elasticity)
+        curve = replace(curve, elasticity=measure_elasticity(panel, number, entry, settings, curve))
     curve = replace(curve, factors=factors)
     score = score_at_budget(curve, settings.budget)
     trials = []

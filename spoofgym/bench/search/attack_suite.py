@@ -219,8 +219,7 @@ class WorstAttacks:
             near |= {key for key, _ in self._peaks(sifted, aims, few)}
         played = yield from self._play(sorted(near), all_runs)
         if self.by_skies:
-            worst = self._best(played, aims[0], all_runs)
-            moved = played[worst][MEASURES[0]]
+            moved = played[self._best(played, aims[0], all_runs)][MEASURES[0]]
             self.skies = worst_skies(moved[self.counts], self.sky[self.counts])
         aims = list_aims(measures, limits, skies=self.skies is not None)
         found: AttackAims = {}

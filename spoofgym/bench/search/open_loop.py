@@ -412,8 +412,7 @@ def search_aims(
             "start_m": best.start_m,
         }
     if alert_limit_m is not None and best is not None and not tuning.quick:
-        optimizer = HazardOptimizer(backend, alert_limit_m, settings)
-        best = optimizer.search({BEFORE: best.rates_mps})
+        best = HazardOptimizer(backend, alert_limit_m, settings).search({BEFORE: best.rates_mps})
         found[AIMS[2]] = {
             "limit_m": alert_limit_m,
             "rates_mps": [float(f"{rate:.6g}") for rate in best.rates_mps],
@@ -474,8 +473,8 @@ class Optima:
             why = f"the displacement by replay is off by {100.0 * error:.1f} %"
         start = self._start(self.world.build_setup(detector, self.spoofers))
         found = search_aims(EngineBackend(*start, heading_deg), *sizes, tick)
-        played = {"by": ENGINE, "why": why, "linear_error": error}
-        return {**played, "aims": found, "shapes": shape}
+        how = {"by": ENGINE, "why": why, "linear_error": error}
+        return {**how, "aims": found, "shapes": shape}
 
     def _zero_alarm(self, detector: PlayerSpec) -> dict[str, list[float]]:
         """Shape of the attack that gets farthest without an alarm, if known: fitted, and no start
@@ -539,8 +538,7 @@ class Optima:
             for name, shape in plain.items():
                 # its amplitude may exceed 1, and the attack's limit holds after that
                 shape = np.interp(t, np.linspace(0.0, 1.0, len(shape)), shape)
-                size = min(rates.mean() / shape.mean(), limit / np.abs(shape).max())
-                curves[name] = size * shape
+                curves[name] = min(rates.mean() / shape.mean(), limit / np.abs(shape).max()) * shape
         return {name: [float(f"{rate:.6g}") for rate in each] for name, each in curves.items()}
 
 
@@ -584,8 +582,7 @@ def fit(
         if settings.rule == EXACT:
             traces = [each.trace for each in fits.values() if each.trace is not None]
             score = score_best(traces, settings.budget)
-            at_budget = {**(best.at_budget or {}), MEASURES[0]: score.as_json()}
-            best = replace(best, at_budget=at_budget)
+            best = replace(best, at_budget={**(best.at_budget or {}), MEASURES[0]: score.as_json()})
         yield best
 
 
