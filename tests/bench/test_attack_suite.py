@@ -42,8 +42,7 @@ def test_every_member_fits_every_victim_over_its_whole_range(env):
 
 
 def test_the_digest_follows_the_members_and_profiles_are_smooth_and_within_the_limits():
-    setup = make_setup(SETUPS["spoofgym/Zhong2025-v0"], {"detector": "never"})
-    context = spoofer_context(setup)
+    context = spoofer_context(make_setup(SETUPS["spoofgym/Zhong2025-v0"], {"detector": "never"}))
     members = attack_suite.list_suite_attacks(context)
     assert attack_suite.suite_digest(members) == attack_suite.suite_digest(
         attack_suite.list_suite_attacks(context)
@@ -108,8 +107,7 @@ def found_by(monkeypatch):
             "measure",
             lambda self, panel, attack: moved(attack.spec, attack.runs),
         )
-        settings = attack_suite.Selection(runs=RUNS, sift_runs=36, values=9)
-        search = kind(PANEL, 0, attacks, settings)
+        search = kind(PANEL, 0, attacks, attack_suite.Selection(runs=RUNS, sift_runs=36, values=9))
         axes = ("east_rate", "north_rate")
         search.context = SpooferContext(1, 0.5, 40, "rate", 1.0, 10.0, axes)
         (winners,) = play_searches(search.panel, [(0, search.winners([*limits]))])

@@ -160,8 +160,7 @@ def test_what_is_no_whole_data_set_is_refused_and_that_of_other_code_is_read(fol
         load_dataset(tmp_path)
     path.write_text(json.dumps({**config, "code": {**config["code"], "numpy": "1.0"}}))
     found = load_dataset(tmp_path).config
-    other = {name: found[name] for name in ("runs", "splits")}
-    assert found == load_dataset(folder).config | other
+    assert found == load_dataset(folder).config | {name: found[name] for name in ("runs", "splits")}
     with pytest.raises(ValueError, match=r"code.numpy: '1.0', not"):
         run_experiment(mine, Store(tmp_path))
 

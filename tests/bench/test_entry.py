@@ -20,7 +20,6 @@ SMALL = ["--runs", "6", "--selection-runs", "4", "--family", "ramps", "--threads
 def write_entry(folder, **changes):
     folder.mkdir(exist_ok=True)
     shutil.copy(detectors.__file__, folder / "mine.py")
-    content = (folder / "mine.py").read_bytes()
     entry = {
         "format": 1,
         "suite": "spoofgym-bench-v1",
@@ -29,7 +28,7 @@ def write_entry(folder, **changes):
         "name": "mine",
         "who": "A. Nyone",
         "player": "mine:AverageRate:threshold_scale=30.0",
-        "files": {"mine.py": hashlib.sha256(content).hexdigest()},
+        "files": {"mine.py": hashlib.sha256((folder / "mine.py").read_bytes()).hexdigest()},
         "figures": {"p_hmi": 0.9},
     }
     (folder / "entry.json").write_text(json.dumps({**entry, **changes}))

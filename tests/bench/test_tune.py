@@ -156,8 +156,7 @@ def test_why_a_value_is_over_the_budget_can_be_read():
     search = found.as_dict()
     table = tuning_table(search)
     names = ("rate_mps", "P(alarm | silent twin) [%]", "its upper limit [%]", "within budget")
-    rows = [tuple(table[name].text(trial) for name in names) for trial in search["trials"]]
-    assert rows == [
+    assert [tuple(table[name].text(trial) for name in names) for trial in search["trials"]] == [
         ("0.2 (chosen)", "2.0", "4.0", "yes"),
         ("0.3", "3.5", "12.0", "yes"),
         ("0.3", "3.5", "5.5", "no"),

@@ -42,8 +42,7 @@ def test_in_the_aec_form_the_detector_has_the_turns_between(between):
         aec(**SLOW, between=between), 4, lambda epoch: DECISIONS[epoch // EVERY], trusting
     )
     _, expected, each, same = aec_epochs(aec(**QUICK), 4, lambda epoch: given[epoch], trusting)
-    cycle = ["spoofer_0", *["detector_0"] * EVERY]
-    assert turns == (cycle * (len(DECISIONS)))[: len(turns)]
+    assert turns == (["spoofer_0", *["detector_0"] * EVERY] * (len(DECISIONS)))[: len(turns)]
     assert turns.count("detector_0") == EPOCHS + HOLD
     if between == "hold":
         np.testing.assert_array_equal(own, expected)

@@ -93,8 +93,7 @@ def test_the_replay_is_the_run_in_which_the_worst_attack_gets_farthest(suite, re
     assert replay["title"] == f"{spoofer} against {NAME}, run {run}"
     stored = results.runs(label, spoofer).displacement_m
     assert replay["undetected_m"] == pytest.approx(stored[run], abs=1e-4)
-    counts = results.runs(label, spoofer).counts
-    assert stored[run] == stored[counts].max()
+    assert stored[run] == stored[results.runs(label, spoofer).counts].max()
     count = len(replay["time"])
     assert count == suite.world.setup.steps + suite.world.setup.hold
     assert {len(replay[name]) for name in ("north", "off", "error", "ratio", "twin")} == {count}
