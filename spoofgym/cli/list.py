@@ -76,7 +76,7 @@ def _find(name: str) -> Found:
 
 def _find_card(name: str, others: Sequence[str]) -> Found:
     """The card of a policy by its name or file; `others`: what else a name could have been."""
-    from ..bench.report.cards import SCORES, card_rows, find_card
+    from ..bench.report.catalogue import SCORES, card_rows, find_card
     from ..bench.report.table import FIELDS
     from ..core.registry import suggest_name
     from ..policies import SpooferCard, list_shipped

@@ -9,7 +9,7 @@ from spoofgym import duel_v0
 from spoofgym.bench.experiments import game as population
 from spoofgym.bench.experiments.game import Game
 from spoofgym.bench.experiments.runner import Context
-from spoofgym.bench.report.cards import find_card
+from spoofgym.bench.report.catalogue import find_card
 from spoofgym.bench.runs.play import play
 from spoofgym.bench.runs.players import make_player, mixture
 from spoofgym.bench.runs.record import compute_displacement, mask_valid_runs
