@@ -176,7 +176,8 @@ def test_resets_copies_and_refusals_leave_no_trace():
     fresh = make()
     fresh.reset(), fresh.reset()
     assert_same(kept, play(fresh, 12))
-    assert_same(play(envs, 15), play(pickle.loads(pickle.dumps(envs)), 15))
+    twin = pickle.loads(pickle.dumps(envs))
+    assert_same(play(envs, 15), play(twin, 15))
     assert pickle.dumps(kept) == before  # what is returned is not used again
 
 
