@@ -42,16 +42,7 @@ from .detectors.observation import DetectorObserver
 from .duel.learner import describe_environment
 from .duel.views import write_card
 from .envs.context import spoofer_context
-from .policies.card import (
-    Card,
-    DetectorCard,
-    Knowledge,
-    SpooferCard,
-    State,
-    describe_context,
-    format_error,
-    parse_seeds,
-)
+from .policies import card as cards
 from .policies.contract import NotFinite
 from .policies.load import OnnxDetector, card_path
 from .policies.onnx_file import NEXT, checked_path, describe_file
@@ -79,7 +70,7 @@ def check_training(training: Any, name: str) -> None:
         return
     if not isinstance(training, Mapping):
         raise ValueError(f"`training` must be a mapping, got {training!r}")
-    for _, split in sorted(parse_seeds(training, name)):
+    for _, split in sorted(cards.parse_seeds(training, name)):
         check_choice("split", split, SPLITS)
 
 
@@ -90,7 +81,7 @@ def checked_states(state: Any) -> dict[str, int]:
         raise ValueError(f"`state` must be sizes by name, such as {{'hidden': 32}}, got {state!r}")
     for name, size in state.items():
         with one_line(f"state {name!r} of size {size!r}"):
-            State(name=name, size=size)
+            cards.State(name=name, size=size)
         if name in ("observation", "action"):  # the first input and output of a file
             raise ValueError(f"a state can't have the name {name!r}, which the file has already")
     return {str(name): int(size) for name, size in state.items()}
@@ -115,7 +106,7 @@ def one_line(what: str) -> Iterator[None]:
     try:
         yield
     except ValidationError as error:
-        raise ValueError(f"{what}: {format_error(error)}") from error
+        raise ValueError(f"{what}: {cards.format_error(error)}") from error
 
 
 GAUSSIANS = (
@@ -303,7 +294,7 @@ def detector(
     interval_s: float = 0.5,
     threshold: float | None = None,
     training: Mapping[str, Any] | None = None,
-) -> DetectorCard:
+) -> cards.DetectorCard:
     """Write a learned detector and its card, from a torch module with or without a state.
 
     Parameters
@@ -523,7 +514,7 @@ def onnx(
         content = trace_module(actor, len(low))
     details = {**_describe_training(model), "amplitude": amplitude, **(training or {})}
     with write_trial(path) as trial:
-        card: Card
+        card: cards.Card
         if judges:
             trial.write_bytes(content)
             card = write_card(trial, inner, name=path.stem, training=details)
@@ -553,7 +544,7 @@ def _make_card(
     training: Mapping[str, Any],
     designed_on: str | None,
     wrappers: Sequence[str],
-) -> SpooferCard:
+) -> cards.SpooferCard:
     core = inner.core
     if core.settings["observation"] is not None:
         raise ValueError(
@@ -574,13 +565,13 @@ def _make_card(
     if wrappers:
         training = {"wrappers": [*wrappers], **training}
     with one_line(f"card of {path}"):
-        return SpooferCard(
+        return cards.SpooferCard(
             name=path.stem,
             kind="onnx-policy",
             env_id=env_id,
             env_kwargs=env_kwargs,
-            **describe_context(context),
-            knowledge=Knowledge(run_time=core.settings["knowledge"], design_time=met),
+            **cards.describe_context(context),
+            knowledge=cards.Knowledge(run_time=core.settings["knowledge"], design_time=met),
             training=dict(training),
             versions=versions() | library_versions(),
             file=describe_file(path.name, content),
@@ -628,7 +619,7 @@ def _compare(
         )
 
 
-def _write(path: Path, content: bytes, card: Card) -> None:
+def _write(path: Path, content: bytes, card: cards.Card) -> None:
     """File first: what is interrupted in between does not fit its card, and is refused."""
     write_file(path, content)
     card.save(card_path(path))

@@ -80,8 +80,7 @@ def test_list_names_all_there_is_and_marks_oracles(monkeypatch):
     assert f"spoofgym/BenchS2-v2 task S2: {TASKS['S2'].title}" in table
     assert "pool=" not in table  # nor any other setting, which fill a screen each
     assert "ewma, has shipped thresholds in zhong2025 alone" in call("list", "scenarios").output
-    whole = call("list", "spoofgym/BenchS2-v2").output
-    assert "decision_interval_s" in whole
+    assert "decision_interval_s" in call("list", "spoofgym/BenchS2-v2").output
     oracles = [name for name, row in names["detectors"].items() if row["oracle"]]
     assert oracles == ["oracle-ramp", "oracle-step"]
     assert names["detectors"]["fixes"]["measures"] == "position"
@@ -225,8 +224,7 @@ def test_the_other_victims_are_played_by_their_environment():
     for each, name in zip(found[-2:], ("raim", "srv-raim"), strict=True):
         told = {"detector": name, "setting": "rate_mps", "runs": 11, "budget": 0.25}
         assert each.items() >= told.items()
-    printed = call(*line, "--fit-only").output
-    assert printed.count("(chosen)") == 4
+    assert call(*line, "--fit-only").output.count("(chosen)") == 4
     assert read(*line, "--json")["tuning"] == found  # it goes on from there
 
 

@@ -176,8 +176,7 @@ def test_the_command_line_audits_goes_on_and_writes_attacks_that_play_again(tmp_
     assert found["warnings"] == ["never alarms, with an attack or without one"]
     assert len(list(tmp_path.rglob("*.npz"))) == 3  # a family, false alarms, ages
     monkeypatch.setattr(audit_worlds, "Panel", None)  # nothing is played again
-    result = call(*words)
-    lines = result.stdout.splitlines()
+    lines = call(*words).stdout.splitlines()
     assert lines[-1] == found["answer"]
     assert lines[-1].startswith("never: ")
     assert lines[-2] == f"Report: {tmp_path / 'small' / 'report.html'}"

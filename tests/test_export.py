@@ -306,8 +306,7 @@ def test_a_wrapper_that_changes_what_is_observed_is_refused_by_its_name(tmp_path
         for use in (partial(onnx, path=tmp_path / "x.onnx"), judge.score):
             with pytest.raises(ValueError, match=f"the wrapper {name} changes every observation"):
                 use(model)
-    net = torch.nn.Linear(len(make().observation_names), 1)
-    onnx(net, plain(), tmp_path / "y.onnx")
+    onnx(torch.nn.Linear(len(make().observation_names), 1), plain(), tmp_path / "y.onnx")
     for env in (Half(plain()), VecNormalize(make())):
         with pytest.raises(ValueError, match=r"changes every observation, and 'y' is played with"):
             attach(str(tmp_path / "y.onnx"), env)

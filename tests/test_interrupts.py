@@ -164,8 +164,7 @@ def test_a_campaign_ends_at_any_moment_and_goes_on(moment, whole, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("end", "expected", "fraction"),
-    [("interrupt", 130, 0.3), ("error", 1, 0.1), ("end", 0, 0.5)],
+    ("end", "expected", "fraction"), [("interrupt", 130, 0.3), ("error", 1, 0.1), ("end", 0, 0.5)]
 )
 def test_an_environment_with_warm_ups_in_the_background_ends(end, expected, fraction, tmp_path):
     process = started("-c", ENVIRONMENT, end, str(fraction), folder=tmp_path)

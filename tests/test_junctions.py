@@ -127,8 +127,7 @@ def test_an_own_detector_travels_by_its_module_and_class(tmp_path):
     own = {"name": "tests.envs.support:AlarmAt", "epoch": 10_000, "thresholds": "nominal"}
     world, path = {"timeline": SHORT}, tmp_path / "mine.onnx"
     env = gym.make("spoofgym/Zhong2025-v0", detector=own, knowledge="blind", **world)
-    net = torch.nn.Linear(env.observation_space.shape[0], 1)
-    card = onnx(net, env, path)
+    card = onnx(torch.nn.Linear(env.observation_space.shape[0], 1), env, path)
     assert card.env_kwargs["detector"] == own
     attach(str(path), env)
     score = spoofgym.evaluate(str(path), **{key: x for key, x in FEW.items() if key != "detector"})

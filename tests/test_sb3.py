@@ -15,13 +15,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor, VecNorma
 
 from spoofgym.detectors import Calibrated
 from spoofgym.envs.terms.reward import AlarmPenalty, default_rewards
-from spoofgym.sb3 import (
-    AlarmRecorder,
-    DetectorWrapper,
-    PassiveDetector,
-    RecordEpochs,
-    SpoofVecEnv,
-)
+from spoofgym.sb3 import AlarmRecorder, DetectorWrapper, PassiveDetector, RecordEpochs, SpoofVecEnv
 from spoofgym.wrappers import vector as vector_wrappers
 from spoofgym.wrappers import vector as wrapped_vectors
 

@@ -16,13 +16,14 @@ from typing import Any
 
 from spoofgym.bench.experiments.calibration import calibrate
 from spoofgym.bench.experiments.suite import list_task_detectors
-from spoofgym.bench.runs.world import PLAIN_ID, VICTIMS
+from spoofgym.bench.runs.world import DEFAULTS, PLAIN_ID
 from spoofgym.calibration.thresholds import WEIGHING_RUNS, inner_detectors, suitable_detectors
 from spoofgym.core.progress import show_progress
 from spoofgym.core.registry import check_choice
 from spoofgym.detectors import Detector
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER
 from spoofgym.envs.factory import make_setup
+from spoofgym.envs.spoofer_binding import SETUPS
 from spoofgym.simulation.setup import Setup
 from spoofgym.simulation.simulator import weighs
 from spoofgym.tasks import DETECTOR_TASKS, PAPERS, RANGE_RATE_TESTS, TASKS
@@ -53,7 +54,7 @@ WORLDS = {
 
 def build_setup(name: str) -> Setup:
     env_id, settings = WORLDS[name]
-    return make_setup(VICTIMS[env_id].setup, {**settings, "detector": "never"})
+    return make_setup(SETUPS[env_id], {**settings, "detector": "never"})
 
 
 def list_detectors(name: str, setup: Setup) -> list[Detector]:
@@ -64,7 +65,7 @@ def list_detectors(name: str, setup: Setup) -> list[Detector]:
         classics = [each for task in judged for each in list_task_detectors(task.task)]
         return inner_detectors([*TASKS[name].detectors, *RANGE_RATE_TESTS, *classics])
     own = [settings["detector"]] if "detector" in settings else []
-    return inner_detectors([*suitable_detectors(setup), *VICTIMS[env_id].detectors, *own])
+    return inner_detectors([*suitable_detectors(setup), *DEFAULTS[SETUPS[env_id]], *own])
 
 
 def main(arguments: list[str]) -> None:

@@ -13,7 +13,8 @@ from spoofgym.bench.experiments.audit import Auditor
 from spoofgym.bench.experiments.calibration import calibrate_players
 from spoofgym.bench.experiments.suite import list_task_detectors
 from spoofgym.bench.report import tasks
-from spoofgym.bench.runs.players import specify_detectors
+from spoofgym.bench.report.table import Table
+from spoofgym.bench.runs.players import specify_detector, specify_detectors
 from spoofgym.bench.scores.campaign import CONTROLS, extract_name
 from spoofgym.bench.scores.detector import DetectorScore
 from spoofgym.cli.app import progress
@@ -44,6 +45,22 @@ def play_task(
     whom = [spec for label, spec in zip(labels, chosen, strict=True) if label not in refused]
     scores = evaluator.scores(whom, show=progress)
     return {**make_card(scores), "left_out": refused}
+
+
+def list_unscored(task: DetectorTask, card: dict[str, Any]) -> list[str]:
+    """Labels of detectors that a card has no score of, and does not refuse, as yet."""
+    known = {*(each["detector"] for each in card["detectors"]), *card["left_out"]}
+    everyone = (specify_detector(each).label for each in list_task_detectors(task.task))
+    return [label for label in everyone if label not in known]
+
+
+def family_table(card: dict[str, Any]) -> Table:
+    """Table of P(HMI) by family [%]."""
+    columns = (
+        (each["family"], lambda score, k=k: score["families"][k]["p_hmi"], tasks.format_share)
+        for k, each in enumerate(card["detectors"][0]["families"])
+    )
+    return Table(("detector", "detector"), *columns)
 
 
 def make_card(scores: list[DetectorScore]) -> dict[str, Any]:
@@ -83,7 +100,7 @@ def with_others(card: dict[str, Any], stored: dict[str, Any] | None) -> dict[str
 def shown() -> str:
     cards, waiting = tasks.stored_detector_cards(), {}
     for key, card in cards.items():
-        if left := tasks.list_unscored(DETECTOR_TASKS[key], card):
+        if left := list_unscored(DETECTOR_TASKS[key], card):
             waiting.setdefault(", ".join(left), []).append(key)
     return render_page(
         "detector_tasks.md.j2",
@@ -91,7 +108,7 @@ def shown() -> str:
         cards=cards,
         waiting=waiting,
         missing={k: x for k, x in tasks.missing().items() if k in DETECTOR_TASKS},
-        family_table=tasks.family_table,
+        family_table=family_table,
         rank_scores=tasks.rank_scores,
     )
 

@@ -38,10 +38,8 @@ class CleanRuns(NamedTuple):
     """What R runs without an attack have come to, for each of D detectors, (R, D) but for the last.
 
     - `before`, `judged`: largest ratio of statistic to threshold in the monitored warm-up, and in
-      the judged window, over channels and the epochs at which alarms are on;
-    - `early`, `alarmed`: bool, whether there was an alarm in each of them;
-    - `world`: (R,) number of the world that was drawn, of a domain with several;
-    - `age_s`: (R,) age of the receiver where the judged window begins [s].
+      the judged window, where alarms are on; `early`, `alarmed`: whether there was an alarm;
+    - `world`: (R,) number of it, of a domain with several; `age_s`: (R,) where `judged` begins [s].
     """
 
     before: FloatArray
@@ -106,11 +104,8 @@ def measuring(detector: Detector) -> tuple[Detector, float]:
 
 @dataclass
 class Player:
-    """Plays clean runs of one world.
-
-    `threads` share the chunks of runs, each of which has a simulator of its own; all useful cores
-    by default.
-    """
+    """Plays clean runs of one world; `threads` share the chunks, each with a simulator of its
+    own."""
 
     setup: Setup
     entropy: int = 0

@@ -32,17 +32,13 @@ CONFIDENCE = 0.99
 class HoldOut(NamedTuple):
     """Alarms of a calibrated detector on runs that it was not calibrated on.
 
-    - `name`: of the detector;
-    - `runs`, `alarms`: runs, and those with an alarm in the judged window;
-    - `promised`: probability of one for a run;
+    - `alarms` in the judged window, `early` before the attack; `promised`: probability for a run;
     - `low`, `high`: central interval of the count that the ranks of the calibration predict; None
       in another world, and for a fitted tail, which predict none;
-    - `per_hour`: measured rate;
-    - `early`: runs with an alarm before the attack;
+    - `per_hour`: measured rate; `false_alarms_per_hour`: rate that is promised;
     - `worlds`: runs and alarms of each world that was drawn, of a domain with several;
-    - `false_alarms_per_hour`: rate that is promised;
-    - `ages`: the least age where the judged window begins [s], of `AGES_S`, runs and alarms from
-      there to the next, where ages are drawn: the hazard by the time since switch-on.
+    - `ages`: where ages are drawn, the least at the judged window's start [s], of `AGES_S`, with
+      runs and alarms from there to the next: the hazard by the time since switch-on.
     """
 
     name: str
@@ -124,16 +120,10 @@ def hold_out(
     predicted: bool = True,
     player: Callable[..., Player] = Player,
 ) -> list[HoldOut]:
-    """Count the alarms of calibrated detectors on runs of the split `holdout`.
-
-    `calibrations`: in the order of the detectors; `detectors`: as `calibrate` takes them;
-    `false_alarms_per_hour`: rate at which they work; several share their runs, but for an alarm
-    that is a state; `runs`: by default `HOLDOUT_PASSIVE`, or `HOLDOUT_WEIGHING` for a detector that
-    de-weights; `cells`: hold-outs that are made together, whose intervals hold together; all of
-    these by default; `threads`, `progress`, `player`: as in `calibrate`; `predicted`:
-    whether the ranks of the calibration predict the count: they do in its own world alone; returns
-    in the order of the detectors; of several rates one after the other.
-    """
+    """Count the alarms of calibrated detectors, in their order, on runs of the split `holdout`;
+    several rates share their runs, but for an alarm that is a state. `cells`: hold-outs whose
+    intervals hold together, all of these by default; `predicted`: whether the ranks of the
+    calibration predict the count, in its own world alone; the others as in `calibrate`."""
     rates = list_rates(false_alarms_per_hour)
     parts = list(zip(calibrations, inner_detectors(detectors), strict=True))
     made = [[apply_calibration(c, d, rate) for c, d in parts] for rate in rates]
@@ -187,8 +177,7 @@ def _count_alarms(
     ages: tuple[tuple[float, int, int], ...] = ()
     if np.ptp(found.age_s) > 0.0:
         bins = np.searchsorted(AGES_S, found.age_s, side="right") - 1
-        of = [found.alarmed[bins == k] for k in range(len(AGES_S))]
-        counted = zip(AGES_S, of, strict=True)
+        counted = zip(AGES_S, [found.alarmed[bins == k] for k in range(len(AGES_S))], strict=True)
         ages = tuple((age, len(own), int(own.sum())) for age, own in counted if len(own))
     nominal = point.false_alarms_per_hour
     counts = runs, alarms, promised, low, high, rate, early, window_s, each, nominal, ages
@@ -196,9 +185,8 @@ def _count_alarms(
 
 
 def predictive_interval(runs: int, calibrated: int, rank: int, cells: int = 1) -> tuple[int, int]:
-    """Central interval of the fresh runs that exceed an order statistic, of all cells together. How
-    often a fresh run exceeds the order statistic of `rank` from the top of n is beta distributed,
-    and their count beta-binomial. `runs`: fresh ones; `calibrated`: n."""
+    """Central interval of the fresh runs, of all cells together, that exceed the order statistic of
+    `rank` from the top of `calibrated` ones: their count is beta-binomial."""
     from scipy.stats import betabinom
 
     tail = 0.5 * (1.0 - CONFIDENCE) / cells
@@ -212,9 +200,8 @@ def transfer(
     detectors: DetectorSpec | Sequence[DetectorSpec],
     **settings: Any,
 ) -> list[HoldOut]:
-    """Count the alarms of detectors that were calibrated elsewhere on clean runs of this world.
-    `calibrations`, `detectors`: as in `hold_out`; `settings`: the others of `hold_out`; returns
-    without intervals: nothing is promised elsewhere."""
+    """Count alarms in a world where detectors were not calibrated, as `hold_out`, but without
+    intervals."""
     return hold_out(setup, calibrations, detectors, predicted=False, **settings)
 
 
@@ -226,11 +213,9 @@ def check(
     threads: int | None = None,
 ) -> None:
     """Replay the first runs of calibrations, and raise where a maximum is another one. Not those of
-    a detector that draws by the last bits of innovations, which differ between kinds of processors:
-    its runs are others there, and its rate is the same. `calibrations`: in the order of the
-    detectors; `detectors`: as `calibrate` takes them; `threads`: as in `calibrate`."""
-    parts = inner_detectors(detectors)
-    pairs = list(zip(calibrations, parts, strict=True))
+    a detector that draws by the last bits of innovations: its runs differ by processor, not its
+    rate."""
+    pairs = list(zip(calibrations, inner_detectors(detectors), strict=True))
     for calibration, detector in pairs:
         identity, rescaled = describe_identity(detector), calibration.rescale is not None
         calibration.check_matches(setup.conditions.settings, identity, setup.name, rescaled)

@@ -90,12 +90,7 @@ def bind_to_log(
     spec: Any, log: InnovationLog, receivers: int = 1, factor: float = 1.0
 ) -> tuple[Detector, DetectorContext]:
     """Detector in front of a log's receiver, or of copies of it; `factor` on its own thresholds.
-
-    Raises
-    ------
-    ValueError
-        Where it reads a signal or a field that the log does not have.
-    """
+    Raises a ValueError where it reads a signal or a field that the log does not have."""
     detector = make_detector(spec)
     detector = unwrap(detector)  # without a world's thresholds
     label = label_spec(spec)
@@ -126,8 +121,7 @@ def bind_to_log(
         raise ValueError(
             f"{label} tests {absent[0]}, which the log does not have: give it signals={other}"
         )
-    seen = np.isfinite(log.innovation)
-    columns = zip(log.variance.T, seen.T, strict=True)
+    columns = zip(log.variance.T, np.isfinite(log.innovation).T, strict=True)
     scale = np.array([np.median(x[has]) if has.any() else 1.0 for x, has in columns])
     n = len(log.channels)
     for half in np.split(scale, 2):  # what the log's filter does not use is no noise of a test

@@ -20,23 +20,9 @@ from ..core.memory import Memory
 from ..core.progress import ProgressBar, no_progress
 from ..core.registry import whole_number
 from ..detectors import DETECTORS, Calibrated, Detector
+from ..detectors import calibration_file as files
 from ..detectors.build import bare_detector
 from ..detectors.calibrated import STANDARD_RATE, check_drifts, describe_identity, unwrap
-from ..detectors.calibration_file import (
-    FOLDER_VARIABLE,
-    STANDARD_RATES,
-    Calibration,
-    check_rate,
-    check_runs,
-    compute_rank,
-    file_name,
-    list_stored_ranks,
-    load_stored,
-    round_digits,
-    round_digits_up,
-    run_probability,
-    user_folder,
-)
 from ..simulation.monitors import Monitor
 from ..simulation.setup import Setup
 from .clean_runs import CleanRuns, Player, measuring, plan_passes
@@ -63,7 +49,7 @@ def calibrate_detectors(
     overwrite: bool = False,
     strict: bool = True,
     player: Callable[..., Player] = Player,
-) -> list[Calibration]:
+) -> list[files.Calibration]:
     """Calibrate detectors in a world, or read what has been calibrated.
 
     Parameters
@@ -131,20 +117,20 @@ def _lock_folder(setup: Setup) -> AbstractContextManager[Any]:
     """Lock of the user's folder: others wait, and find the files."""
     from filelock import FileLock
 
-    home = user_folder()
+    home = files.user_folder()
     try:
         home.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OSError(
-            f"calibrations can't be stored in {home} ({error.strerror}); set {FOLDER_VARIABLE} to "
-            "a folder that can be written"
+            f"calibrations can't be stored in {home} ({error.strerror}); set "
+            f"{files.FOLDER_VARIABLE} to a folder that can be written"
         ) from error
     return FileLock(home / f"{setup.conditions.digest}.lock")
 
 
 def list_rates(given: float | Sequence[float]) -> tuple[float, ...]:
     several = given if isinstance(given, Sequence | np.ndarray) else [given]
-    return tuple(map(check_rate, several))
+    return tuple(map(files.check_rate, several))
 
 
 def inner_detectors(specs: DetectorSpec | Iterable[DetectorSpec]) -> list[Detector]:
@@ -182,12 +168,12 @@ class _Work:
     folder: Path | None
     overwrite: bool
 
-    def find_stored(self, detector: Detector, runs: int | None) -> Calibration | None:
+    def find_stored(self, detector: Detector, runs: int | None) -> files.Calibration | None:
         """A calibration with so many runs or more that has all rates; None without one."""
         if self.overwrite:
             return None
         identity = describe_identity(detector)
-        for each in load_stored(self.setup.conditions, identity, self.rescaled, self.folder):
+        for each in files.load_stored(self.setup.conditions, identity, self.rescaled, self.folder):
             enough = each.runs >= (runs or 1) and each.entropy == self.entropy
             if enough and all(each.has(rate) for rate in self.rates):
                 return each
@@ -208,7 +194,7 @@ class _Work:
         for group, count, _ in found:
             tail = not any(each.alarm_is_state for each in group)
             for rate in self.rates:  # an error if so many runs are too few for it
-                check_runs(rate, count, self.setup.window_s, tail=tail)
+                files.check_runs(rate, count, self.setup.window_s, tail=tail)
         return found
 
     def play(self, player: Player, group: list[Detector], runs: int, in_loop: bool) -> None:
@@ -246,9 +232,11 @@ class _Work:
         if bisected:
             ranks, largest = self._bisect_factors(player, detector, found, in_loop)
         else:
-            ranks = list_stored_ranks(runs, self.setup.window_s, [*STANDARD_RATES, *self.rates])
+            ranks = files.list_stored_ranks(
+                runs, self.setup.window_s, [*files.STANDARD_RATES, *self.rates]
+            )
         identity = describe_identity(detector)
-        made = Calibration.from_maxima(
+        made = files.Calibration.from_maxima(
             found.before,
             found.judged,
             ranks=ranks,
@@ -261,8 +249,8 @@ class _Work:
             rescale=rescale,
             bisected=bisected,
         )
-        folder = self.folder or user_folder()
-        made.save(folder / file_name(conditions.digest, identity, self.rescaled))
+        folder = self.folder or files.user_folder()
+        made.save(folder / files.file_name(conditions.digest, identity, self.rescaled))
 
     def _bisect_factors(
         self, player: Player, detector: Detector, found: CleanRuns, in_loop: bool
@@ -276,7 +264,8 @@ class _Work:
 
         runs, window_s = len(found.judged), self.setup.window_s
         wanted = {
-            compute_rank(run_probability(r, window_s), runs) for r in (*STANDARD_RATES, *self.rates)
+            files.compute_rank(files.run_probability(r, window_s), runs)
+            for r in (*files.STANDARD_RATES, *self.rates)
         }
         ranks = sorted(rank for rank in wanted if 1 <= rank <= runs)
         return ranks, np.array([bisect(found.before, found.judged, r, alarms) for r in ranks])
@@ -288,11 +277,10 @@ def bisect(
     rank: int,
     alarms: Callable[[float, NDArray[np.int64]], NDArray[np.bool_]],
 ) -> float:
-    """Smallest factor on the threshold, of the ratios, at which fewer than `rank` runs alarm.
-    `before`, `judged` (R,) largest ratios of runs without any alarm. Up to its first alarm a run is
-    the same at any factor, so that only those above it before the attack are played again, by
-    ``alarms(factor, runs)``."""
-    values = round_digits_up(np.unique(np.concatenate([before, judged])))
+    """Smallest factor on the threshold at which fewer than `rank` runs alarm, of their largest
+    ratios (R,) without any alarm. Up to its first alarm a run is the same at any factor, so that
+    only those above it before the attack are played again, by ``alarms(factor, runs)``."""
+    values = files.round_digits_up(np.unique(np.concatenate([before, judged])))
 
     def count(scale: float) -> int:
         early = before > scale
@@ -354,4 +342,4 @@ def rescale_factors(player: Player, runs: int) -> tuple[float, ...]:
     real, believed = sums[0::2], sums[1::2]
     sound = (real > 0.0) & (believed > 0.0)
     factors = np.sqrt(np.where(sound, believed, 1.0) / np.where(sound, real, 1.0))
-    return tuple(round_digits(factor) for factor in factors)
+    return tuple(files.round_digits(factor) for factor in factors)

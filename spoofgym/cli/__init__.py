@@ -22,16 +22,6 @@ from .warmup import warmup
 # in the order of the help page
 app.command("list")(clear_errors(list_))
 app.command("audit")(clear_errors(audit_))
-for _command in (
-    demo,
-    calibrate,
-    run,
-    bench,
-    game,
-    limits,
-    dataset,
-    report,
-    warmup,
-):
+for _command in (demo, calibrate, run, bench, game, limits, dataset, report, warmup):
     app.command()(clear_errors(_command))
 app.add_typer(log_group, name="log")

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, ParamSpec, TextIO, TypeVar
+from typing import Any, NoReturn, ParamSpec, TextIO, TypeVar
 
 import typer
 from typer import Option
@@ -78,7 +78,7 @@ def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
 
 
 @app.callback(invoke_without_command=True)
-def _main(version: Annotated[bool, Option("--version", help="Print the version.")] = False) -> None:
+def _main(version: bool = Option(False, "--version", help="Print the version.")) -> None:
     """GNSS spoofing and its detection as a game: a benchmark, for defence research."""
     if version:
         from .. import __version__
@@ -103,13 +103,9 @@ def _repeat_interrupt(lost: sys.UnraisableHookArgs) -> None:
 
 
 def _leave(code: int) -> NoReturn:
-    """End the process without taking the interpreter down first; another interrupt ends it at once.
-
-    An interrupt can leave a thread, of this package or of another, somewhere in compiled code.  One
-    that comes back while the interpreter is taken down aborts the process, whose exit code is lost.
-    Nothing else is: files are whole or absent (`core.files`), and what waits for the end, temporary
-    folders and threads, has exit hooks, which are run.
-    """
+    """End the process without taking the interpreter down, which an interrupt's thread in compiled
+    code could abort, and the exit code with it; another interrupt ends it at once. Files are whole
+    or absent (`core.files`), and exit hooks, such as of threads and temporary folders, are run."""
     try:
         for number in HANDLED_SIGNALS:
             if signal.getsignal(number) is _interrupt:
@@ -147,8 +143,7 @@ def _only_json() -> Iterator[None]:
 
 def print_json(value: Any) -> None:
     """Print JSON; neither NaN nor infinity is."""
-    text = json.dumps(value, indent=2, allow_nan=False)
-    typer.echo(text, file=outputs[-1] if outputs else None)
+    typer.echo(json.dumps(value, indent=2, allow_nan=False), file=outputs[-1] if outputs else None)
 
 
 def print_lines(lines: Iterable[str]) -> None:

@@ -6,7 +6,7 @@ import contextlib
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 from typer import Argument, Option
@@ -26,70 +26,54 @@ if TYPE_CHECKING:
 class AuditOptions:
     """Options of an audit of either side."""
 
-    task: Annotated[
-        list[str] | None,
-        Option(help="Task for detectors, D1 to D3, may be repeated. Default: D1."),
-    ] = None
-    budget: Annotated[
-        str | None,
-        Option(
-            help="Size of all that is played: quick, standard or full, some 1, 3 or 12 minutes of "
-            "a processor for a plain detector in D1. Default: standard; quick with --check."
-        ),
-    ] = None
-    family: Annotated[
-        list[str] | None,
-        Option(help="Family of attacks, may be repeated. Default: all of the task."),
-    ] = None
-    runs: Annotated[
-        int | None,
-        Option(
-            min=2,
-            max=opt.LARGEST_RUNS,
-            help="Evaluation runs of every family, or of a spoofer. Default: those of the budget.",
-        ),
-    ] = None
-    selection_runs: Annotated[
-        int | None,
-        Option(
-            min=4,
-            max=opt.LARGEST_RUNS,
-            help="Runs that the attacks of a family are chosen on. Default: those of the budget.",
-        ),
-    ] = None
-    log: Annotated[
-        Path | None,
-        Option(
-            help="Log of a receiver with the matrices of its filter, on whose clean windows it "
-            "plays in place of a task; thresholds are those of its own windows."
-        ),
-    ] = None
-    false_alarms_per_hour: Annotated[
-        float | None,
-        Option(help="With --log: rate of the thresholds. Default: what a detector requests."),
-    ] = None
-    alert_limit_m: Annotated[
-        float | None,
-        Option(help="With --log: error that must not be exceeded unnoticed, in m. Default: 30."),
-    ] = None
-    attack_s: Annotated[
-        float | None,
-        Option(help="With --log: length of an attack, in seconds. Default: 150."),
-    ] = None
-    time_to_alert_s: Annotated[
-        float | None,
-        Option(help="With --log: time after it in which an alarm counts, in s. Default: 10."),
-    ] = None
-    out: Annotated[Path, Option(help="Folder of finished parts and of the worst attacks.")] = Path(
-        "results/audit"
+    task: list[str] | None = Option(
+        None, help="Task for detectors, D1 to D3, may be repeated. Default: D1."
     )
-    seed: Annotated[
-        int | None,
-        Option(
-            min=0,
-            help="Seed of all runs. Default: drawn at the first audit into a folder, and printed.",
-        ),
-    ] = None
+    budget: str | None = Option(
+        None,
+        help="Size of all that is played: quick, standard or full, some 1, 3 or 12 minutes of "
+        "a processor for a plain detector in D1. Default: standard; quick with --check.",
+    )
+    family: list[str] | None = Option(
+        None, help="Family of attacks, may be repeated. Default: all of the task."
+    )
+    runs: int | None = Option(
+        None,
+        min=2,
+        max=opt.LARGEST_RUNS,
+        help="Evaluation runs of every family, or of a spoofer. Default: those of the budget.",
+    )
+    selection_runs: int | None = Option(
+        None,
+        min=4,
+        max=opt.LARGEST_RUNS,
+        help="Runs that the attacks of a family are chosen on. Default: those of the budget.",
+    )
+    log: Path | None = Option(
+        None,
+        help="Log of a receiver with the matrices of its filter, on whose clean windows it "
+        "plays in place of a task; thresholds are those of its own windows.",
+    )
+    false_alarms_per_hour: float | None = Option(
+        None, help="With --log: rate of the thresholds. Default: what a detector requests."
+    )
+    alert_limit_m: float | None = Option(
+        None, help="With --log: error that must not be exceeded unnoticed, in m. Default: 30."
+    )
+    attack_s: float | None = Option(
+        None, help="With --log: length of an attack, in seconds. Default: 150."
+    )
+    time_to_alert_s: float | None = Option(
+        None, help="With --log: time after it in which an alarm counts, in s. Default: 10."
+    )
+    out: Path = Option(
+        Path("results/audit"), help="Folder of finished parts and of the worst attacks."
+    )
+    seed: int | None = Option(
+        None,
+        min=0,
+        help="Seed of all runs. Default: drawn at the first audit into a folder, and printed.",
+    )
     threads: opt.Threads = None
     jobs: opt.Processes = 1
     backend: opt.Backend = "local"
@@ -124,26 +108,21 @@ Audited = tuple[list[dict[str, Any]], list[list[str]], list[Path]]
 
 @with_options
 def audit_(
-    detector: Annotated[
-        list[str] | None,
-        Argument(help=f"Detectors, one or more; an .onnx file, too. {opt.SPEC_HELP}"),
-    ] = None,
+    detector: list[str] | None = Argument(
+        None, help=f"Detectors, one or more; an .onnx file, too. {opt.SPEC_HELP}"
+    ),
     *,
-    spoofer: Annotated[
-        str | None,
-        Option(
-            help="Spoofer in place of a detector, against those of the standard suite; a shipped "
-            f"name or an .onnx file, too. {opt.SPEC_HELP}"
-        ),
-    ] = None,
-    check: Annotated[
-        Path | None,
-        Option(
-            metavar="ENTRY",
-            help="Folder of an entry: check its format and files, audit it, and say whether the "
-            "figures that it claims lie in the intervals. Exit code 1 where one does not.",
-        ),
-    ] = None,
+    spoofer: str | None = Option(
+        None,
+        help="Spoofer in place of a detector, against those of the standard suite; a shipped "
+        f"name or an .onnx file, too. {opt.SPEC_HELP}",
+    ),
+    check: Path | None = Option(
+        None,
+        metavar="ENTRY",
+        help="Folder of an entry: check its format and files, audit it, and say whether the "
+        "figures that it claims lie in the intervals. Exit code 1 where one does not.",
+    ),
     options: AuditOptions,
     as_json: opt.Json = False,
 ) -> None:
@@ -206,13 +185,12 @@ def check_entry(folder: Path, options: AuditOptions, as_json: bool) -> None:
     if as_json:
         print_json({"entry": entry.model_dump(), "figures": rows, "audit": record})
     else:
-        table = Table(
+        Table(
             ("figure", "name"),
             ("claimed", "claimed", "{:.4g}".format),
             ("played", dict, interval),
             ("holds", "holds", yes_no),
-        )
-        table.print(f"{entry.task}, {budget}, seed {record['entropy']}", rows)
+        ).print(f"{entry.task}, {budget}, seed {record['entropy']}", rows)
         print_lines([*(f"Report: {path}" for path in written), answer])
     raise typer.Exit(bool(false))
 

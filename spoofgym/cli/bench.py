@@ -12,7 +12,7 @@ from typer import Argument, Option
 from . import options as opt
 from .app import print_json, print_lines, print_written
 from .options import SuiteOptions, with_options
-from .suites import Reports, build_suite, calibrate_suite, make_selection, make_tuning
+from .suites import Reports, build_suite, calibrate_suite, make_tuning
 
 if TYPE_CHECKING:
     from ..bench.experiments import Reader
@@ -31,83 +31,71 @@ Verbose = Annotated[
 def bench(
     *,
     task: opt.Task = None,
-    detector: Annotated[
-        list[str] | None,
-        Option(
-            help="Detector, may be repeated; `all` for all that suit the victim. Default: the "
-            "twelve of the standard suite; in another world those that suit its victim, with the "
-            "controls never and lottery. In the default world both controls always play. "
-            f"{opt.SPEC_HELP}"
-        ),
-    ] = None,
-    spoofer: Annotated[
-        list[str] | None,
-        Option(
-            help="Spoofer, may be repeated. One setting is fitted to the alarm budget: that which "
-            "is `tuned` (step:size_m=tuned), the rate of a plain ramp, or else the amplitude. With "
-            "step:amplitude=1 nothing is fitted. A shipped spoofer by its name, a learned one by "
-            "its .onnx file. Default: ramp, accelerating-ramp, open-loop and feedback; with "
-            "options of the world none, step, ramp, accelerating-ramp, open-loop, and the shipped "
-            "ones that fit."
-        ),
-    ] = None,
+    detector: list[str] | None = Option(
+        None,
+        help="Detector, may be repeated; `all` for all that suit the victim. Default: the "
+        "twelve of the standard suite; in another world those that suit its victim, with the "
+        "controls never and lottery. In the default world both controls always play. "
+        f"{opt.SPEC_HELP}",
+    ),
+    spoofer: list[str] | None = Option(
+        None,
+        help="Spoofer, may be repeated. One setting is fitted to the alarm budget: that which "
+        "is `tuned` (step:size_m=tuned), the rate of a plain ramp, or else the amplitude. With "
+        "step:amplitude=1 nothing is fitted. A shipped spoofer by its name, a learned one by "
+        "its .onnx file. Default: ramp, accelerating-ramp, open-loop and feedback; with "
+        "options of the world none, step, ramp, accelerating-ramp, open-loop, and the shipped "
+        "ones that fit.",
+    ),
     budget: opt.Budget = "standard",
     runs: opt.Runs = None,
-    out: Annotated[Path, Option(help="Folder of the results.")] = Path("results"),
-    overwrite: Annotated[
-        bool, Option("--overwrite", help="Replace the results of another campaign.")
-    ] = False,
-    fit_only: Annotated[
-        bool,
-        Option(
-            "--fit-only",
-            help="Fit spoofers to the alarm budget, print what was tried, and play no more; the "
-            "same command without it goes on from there.",
-        ),
-    ] = False,
+    out: Path = Option(Path("results"), help="Folder of the results."),
+    overwrite: bool = Option(False, "--overwrite", help="Replace the results of another campaign."),
+    fit_only: bool = Option(
+        False,
+        "--fit-only",
+        help="Fit spoofers to the alarm budget, print what was tried, and play no more; the "
+        "same command without it goes on from there.",
+    ),
     as_json: opt.Json = False,
     verbose: Verbose = False,
     options: SuiteOptions,
-    alarm_budget: Annotated[
-        float,
-        Option(help="Share of runs, silent without the attack, that may alarm; see --rule."),
-    ] = 0.05,
-    training_runs: Annotated[
-        int | None,
-        Option(
-            min=2,
-            max=opt.LARGEST_RUNS,
-            help="Training runs for tuned spoofers; they share no noise with the evaluation runs.",
-        ),
-    ] = None,
-    rule: Annotated[
-        str | None,
-        Option(
-            help="How amplitudes are fitted to the alarm budget: exact, on the evaluation runs, "
-            "with intervals that include the fit, or upper-limit, a pass mark, by the upper 95 % "
-            "limit of the alarm rate on the training runs. Default: exact, and upper-limit in a "
-            "task of the first suite."
-        ),
-    ] = None,
-    nominal: Annotated[
-        bool,
-        Option(
-            "--nominal",
-            help="Use the published thresholds without calibration. Detectors are then not "
-            "comparable, because their false-alarm rates differ.",
-        ),
-    ] = False,
-    selection_runs: Annotated[
-        int | None,
-        Option(
-            min=0,
-            max=opt.LARGEST_RUNS,
-            help="Runs on which the worst attack of the attack suite is chosen; 0 to leave the "
-            "protection out.",
-        ),
-    ] = None,
+    alarm_budget: float = Option(
+        0.05, help="Share of runs, silent without the attack, that may alarm; see --rule."
+    ),
+    training_runs: int | None = Option(
+        None,
+        min=2,
+        max=opt.LARGEST_RUNS,
+        help="Training runs for tuned spoofers; they share no noise with the evaluation runs.",
+    ),
+    rule: str | None = Option(
+        None,
+        help="How amplitudes are fitted to the alarm budget: exact, on the evaluation runs, "
+        "with intervals that include the fit, or upper-limit, a pass mark, by the upper 95 % "
+        "limit of the alarm rate on the training runs. Default: exact, and upper-limit in a "
+        "task of the first suite.",
+    ),
+    nominal: bool = Option(
+        False,
+        "--nominal",
+        help="Use the published thresholds without calibration. Detectors are then not "
+        "comparable, because their false-alarm rates differ.",
+    ),
+    selection_runs: int | None = Option(
+        None,
+        min=0,
+        max=opt.LARGEST_RUNS,
+        help="Runs on which the worst attack of the attack suite is chosen; 0 to leave the "
+        "protection out.",
+    ),
     threads: opt.Threads = None,
-    jobs: opt.Jobs = None,
+    jobs: int | None = Option(
+        None,
+        min=1,
+        help="Processes of this machine that compute at a time. Default: 1; in the default world, "
+        "the processors.",
+    ),
     backend: opt.Backend = "local",
     shard: opt.Shard = None,
 ) -> None:
@@ -122,9 +110,11 @@ def bench(
     from ..bench.experiments.suite import SPOOFERS, get_budget
     from ..bench.report.campaign import WorstRows
     from ..bench.runs.players import add_tuned_setting
+    from ..bench.search.attack_suite import Selection
     from ..simulation.engine import processors
 
     size = get_budget(budget, runs=runs, training_runs=training_runs, selection_runs=selection_runs)
+    chosen = size.selection_runs  # a quarter of them sifts
     standard = task is None and not options.find_passed(opt.WORLD_OPTIONS)
     spoofers = opt.parse_specs(spoofer or (SPOOFERS if standard else ()))
     suite, reports = build_suite(
@@ -137,12 +127,9 @@ def bench(
         spoofers=list(map(add_tuned_setting, spoofers)) or None,
         runs=size.runs,
         tuning=make_tuning(
-            size.training_runs,
-            alarm_budget,
-            rule=rule or get_rule(task),
-            quick=size.quick,
+            size.training_runs, alarm_budget, rule=rule or get_rule(task), quick=size.quick
         ),
-        selection=make_selection(size.selection_runs),
+        selection=Selection(runs=chosen, sift_runs=max(chosen // 4, 1)) if chosen else None,
         floor_worlds=size.floor_worlds,
     )
     if fit_only and not any(player.tuned for player in suite.spoofer_players):
@@ -173,10 +160,10 @@ def bench(
 
 
 def report(
-    folder: Annotated[Path, Argument(help="Folder of the results.")] = Path("results"),
-    out: Annotated[
-        Path | None, Option(help="Every run of a campaign as a row, too: file, .mat or .parquet.")
-    ] = None,
+    folder: Path = Argument(Path("results"), help="Folder of the results."),
+    out: Path | None = Option(
+        None, help="Every run of a campaign as a row, too: file, .mat or .parquet."
+    ),
     as_json: opt.Json = False,
     verbose: Verbose = False,
 ) -> None:

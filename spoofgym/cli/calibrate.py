@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 from typer import Option
@@ -24,46 +24,36 @@ if TYPE_CHECKING:
 @with_options
 def calibrate(
     *,
-    detector: Annotated[
-        list[str] | None,
-        Option(
-            help="Detector, may be repeated; an .onnx file, too; `all` for all that suit the "
-            f"victim. Default: those of the benchmark. {opt.SPEC_HELP} Exit status 1 where a "
-            "named one can't be calibrated."
-        ),
-    ] = None,
-    runs: Annotated[
-        int | None,
-        Option(
-            min=1,
-            max=opt.LARGEST_RUNS,
-            help="Clean runs. Default: 20000 for all passive detectors, 2000 for each one "
-            "that de-weights.",
-        ),
-    ] = None,
-    false_alarms_per_hour: Annotated[
-        float, Option(help="False-alarm rate that thresholds are found for.")
-    ] = 0.2,
-    rescaled: Annotated[
-        bool, Option("--rescaled", help="Rescale innovations, for tests with a drift term.")
-    ] = False,
-    hold_out: Annotated[
-        int | None, Option(min=1, max=opt.LARGEST_RUNS, help="Count alarms on so many fresh runs.")
-    ] = None,
-    transfer: Annotated[
-        list[str] | None,
-        Option(
-            help="Another world to count alarms in, may be repeated: a scenario, or settings of "
-            "the victim that differ, as a JSON object. On as many runs as --hold-out, or 1000."
-        ),
-    ] = None,
-    check: Annotated[
-        bool, Option("--check", help="Replay the first runs of every calibration.")
-    ] = False,
-    overwrite: Annotated[
-        bool, Option("--overwrite", help="Replace calibrations that exist.")
-    ] = False,
-    task: Annotated[str | None, Option(help="World of a task, S1 to S3 or T1 to T6.")] = None,
+    detector: list[str] | None = Option(
+        None,
+        help="Detector, may be repeated; an .onnx file, too; `all` for all that suit the "
+        f"victim. Default: those of the benchmark. {opt.SPEC_HELP} Exit status 1 where a "
+        "named one can't be calibrated.",
+    ),
+    runs: int | None = Option(
+        None,
+        min=1,
+        max=opt.LARGEST_RUNS,
+        help="Clean runs. Default: 20000 for all passive detectors, 2000 for each one "
+        "that de-weights.",
+    ),
+    false_alarms_per_hour: float = Option(
+        0.2, help="False-alarm rate that thresholds are found for."
+    ),
+    rescaled: bool = Option(
+        False, "--rescaled", help="Rescale innovations, for tests with a drift term."
+    ),
+    hold_out: int | None = Option(
+        None, min=1, max=opt.LARGEST_RUNS, help="Count alarms on so many fresh runs."
+    ),
+    transfer: list[str] | None = Option(
+        None,
+        help="Another world to count alarms in, may be repeated: a scenario, or settings of "
+        "the victim that differ, as a JSON object. On as many runs as --hold-out, or 1000.",
+    ),
+    check: bool = Option(False, "--check", help="Replay the first runs of every calibration."),
+    overwrite: bool = Option(False, "--overwrite", help="Replace calibrations that exist."),
+    task: str | None = Option(None, help="World of a task, S1 to S3 or T1 to T6."),
     as_json: opt.Json = False,
     options: WorldOptions,
     seed: opt.Seed = 0,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Option
 
@@ -18,51 +18,37 @@ if TYPE_CHECKING:
 
 @with_options
 def dataset(
-    out: Annotated[Path, Argument(help="Folder of the data set.")],
+    out: Path = Argument(help="Folder of the data set."),
     *,
-    task: Annotated[
-        str | None, Option(help="World of a task, S1 to S3 or T1 to T6; its detector.")
-    ] = None,
-    detector: Annotated[
-        str | None,
-        Option(
-            help="Passive detector whose statistic attacks by feedback see; the task's by default, "
-            f"without one there are no such attacks. {opt.SPEC_HELP}"
-        ),
-    ] = None,
-    term: Annotated[
-        list[str] | None,
-        Option(
-            help="Observation term of a learned detector, may be repeated; by default all. "
-            f"{opt.SPEC_HELP}"
-        ),
-    ] = None,
-    family: Annotated[
-        list[str] | None,
-        Option(help="Family of attacks, may be repeated; by default all that can be made."),
-    ] = None,
-    spoofer: Annotated[
-        list[str] | None,
-        Option(
-            help="Further spoofer, such as an .onnx file, may be repeated; its amplitude is drawn. "
-            f"{opt.SPEC_HELP}"
-        ),
-    ] = None,
-    train: Annotated[
-        int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs to train on, each attacked and not.")
-    ] = 768,
-    validation: Annotated[
-        int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs to choose on.")
-    ] = 256,
-    test: Annotated[int, Option(min=1, max=opt.LARGEST_RUNS, help="Runs for the last test.")] = 256,
-    file_runs: Annotated[int, Option(min=1, max=4096, help="Runs of a file.")] = 64,
-    alert_limit_m: Annotated[
-        float | None,
-        Option(help="Alert limit, around which attacks are drawn; 40 m, or the task's."),
-    ] = None,
-    overwrite: Annotated[
-        bool, Option("--overwrite", help="Replace another data set in the folder.")
-    ] = False,
+    task: str | None = Option(None, help="World of a task, S1 to S3 or T1 to T6; its detector."),
+    detector: str | None = Option(
+        None,
+        help="Passive detector whose statistic attacks by feedback see; the task's by default, "
+        f"without one there are no such attacks. {opt.SPEC_HELP}",
+    ),
+    term: list[str] | None = Option(
+        None,
+        help="Observation term of a learned detector, may be repeated; by default all. "
+        f"{opt.SPEC_HELP}",
+    ),
+    family: list[str] | None = Option(
+        None, help="Family of attacks, may be repeated; by default all that can be made."
+    ),
+    spoofer: list[str] | None = Option(
+        None,
+        help="Further spoofer, such as an .onnx file, may be repeated; its amplitude is drawn. "
+        f"{opt.SPEC_HELP}",
+    ),
+    train: int = Option(
+        768, min=1, max=opt.LARGEST_RUNS, help="Runs to train on, each attacked and not."
+    ),
+    validation: int = Option(256, min=1, max=opt.LARGEST_RUNS, help="Runs to choose on."),
+    test: int = Option(256, min=1, max=opt.LARGEST_RUNS, help="Runs for the last test."),
+    file_runs: int = Option(64, min=1, max=4096, help="Runs of a file."),
+    alert_limit_m: float | None = Option(
+        None, help="Alert limit, around which attacks are drawn; 40 m, or the task's."
+    ),
+    overwrite: bool = Option(False, "--overwrite", help="Replace another data set in the folder."),
     as_json: opt.Json = False,
     options: WorldOptions,
     seed: opt.Seed = 0,

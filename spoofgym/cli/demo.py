@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from typer import Option
 
@@ -17,8 +17,8 @@ NEXT = "spoofgym audit ewma --budget quick"
 
 
 def demo(
-    out: Annotated[Path, Option(help="File of the picture.")] = Path("demo.png"),
-    picture: Annotated[bool, Option(help="Draw the picture.")] = True,
+    out: Path = Option(Path("demo.png"), help="File of the picture."),
+    picture: bool = Option(True, help="Draw the picture."),
     as_json: opt.Json = False,
 ) -> None:
     """Play one spoofing attack against two detectors, and draw what each of them sees of it."""

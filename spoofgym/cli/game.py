@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from typer import Option
 
@@ -13,27 +12,23 @@ from .app import print_json, print_written
 
 def game(
     *,
-    spoofer: Annotated[list[str], Option(help=f"Spoofer, may be repeated. {opt.SPEC_HELP}")],
-    detector: Annotated[list[str], Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}")],
-    task: Annotated[
-        str, Option(help="Task whose world and alert limit are taken, S1 to S3 or T1 to T6.")
-    ],
-    payoff: Annotated[
-        str,
-        Option(
-            help="What a run is worth: `stealth`, the undetected displacement in parts of the "
-            "alert limit, 0 after an alarm; or `hmi`, whether it exceeds the limit."
-        ),
-    ] = "stealth",
-    limit_m: Annotated[float | None, Option(help="Alert limit. Default: that of the task.")] = None,
+    spoofer: list[str] = Option(help=f"Spoofer, may be repeated. {opt.SPEC_HELP}"),
+    detector: list[str] = Option(help=f"Detector, may be repeated. {opt.SPEC_HELP}"),
+    task: str = Option(help="Task whose world and alert limit are taken, S1 to S3 or T1 to T6."),
+    payoff: str = Option(
+        "stealth",
+        help="What a run is worth: `stealth`, the undetected displacement in parts of the "
+        "alert limit, 0 after an alarm; or `hmi`, whether it exceeds the limit.",
+    ),
+    limit_m: float | None = Option(None, help="Alert limit. Default: that of the task."),
     budget: opt.Budget = "standard",
     runs: opt.Runs = None,
-    oracles: Annotated[
-        bool, Option(help="Compare spoofers that observe the detector's statistics with others.")
-    ] = False,
-    out: Annotated[
-        Path | None, Option(help="Folder of finished pairs; the same command goes on from there.")
-    ] = None,
+    oracles: bool = Option(
+        False, help="Compare spoofers that observe the detector's statistics with others."
+    ),
+    out: Path | None = Option(
+        None, help="Folder of finished pairs; the same command goes on from there."
+    ),
     as_json: opt.Json = False,
     seed: opt.Seed = 0,
     threads: opt.Threads = None,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import typer
 from typer import Option
@@ -20,47 +19,39 @@ MOST_WORLDS, BOUND_WORLDS = 1024, 8
 def limits(
     *,
     task: opt.Task = None,
-    detector: Annotated[
-        list[str] | None,
-        Option(
-            help="Detector whose zero-alarm bound is wanted, may be repeated; `all` for all that "
-            f"suit the victim. Default: none. {opt.SPEC_HELP}"
-        ),
-    ] = None,
-    spoofer: Annotated[
-        str | None,
-        Option(
-            help="Spoofer to compute the bound by divergence for, where it holds. Default: none. "
-            f"{opt.SPEC_HELP}"
-        ),
-    ] = None,
-    worlds: Annotated[
-        int | None,
-        Option(
-            min=1,
-            max=MOST_WORLDS,
-            help="Worlds to draw. Default: one under every sky of the domain for the floor, and "
-            f"{BOUND_WORLDS} for zero-alarm bounds.",
-        ),
-    ] = None,
-    sensors: Annotated[
-        str,
-        Option(
-            help="Whether the perfect detector knows the constants of the inertial sensors: known "
-            "or unknown."
-        ),
-    ] = "unknown",
-    figure: Annotated[
-        Path | None, Option(help="File of a picture of the floor over time, .png, .svg or .pdf.")
-    ] = None,
+    detector: list[str] | None = Option(
+        None,
+        help="Detector whose zero-alarm bound is wanted, may be repeated; `all` for all that "
+        f"suit the victim. Default: none. {opt.SPEC_HELP}",
+    ),
+    spoofer: str | None = Option(
+        None,
+        help="Spoofer to compute the bound by divergence for, where it holds. Default: none. "
+        f"{opt.SPEC_HELP}",
+    ),
+    worlds: int | None = Option(
+        None,
+        min=1,
+        max=MOST_WORLDS,
+        help="Worlds to draw. Default: one under every sky of the domain for the floor, and "
+        f"{BOUND_WORLDS} for zero-alarm bounds.",
+    ),
+    sensors: str = Option(
+        "unknown",
+        help="Whether the perfect detector knows the constants of the inertial sensors: known "
+        "or unknown.",
+    ),
+    figure: Path | None = Option(
+        None, help="File of a picture of the floor over time, .png, .svg or .pdf."
+    ),
     as_json: opt.Json = False,
     options: SuiteOptions,
-    alarm_budget: Annotated[
-        float, Option(help="Alarm budget of a stealthy attack, on top of the false alarms.")
-    ] = 0.05,
-    nominal: Annotated[
-        bool, Option("--nominal", help="Bounds of detectors with thresholds as published.")
-    ] = False,
+    alarm_budget: float = Option(
+        0.05, help="Alarm budget of a stealthy attack, on top of the false alarms."
+    ),
+    nominal: bool = Option(
+        False, "--nominal", help="Bounds of detectors with thresholds as published."
+    ),
     threads: opt.Threads = None,
 ) -> None:
     """Compute how far an attack can go unseen: floors of a perfect detector, zero-alarm bounds.
@@ -79,12 +70,13 @@ def limits(
     """
     from ..bench.report import limits as report
     from ..core.plots import check_picture
+    from ..core.registry import check_choice
     from ..detectors.calibrated import STANDARD_RATE
     from ..limits.floor import check_linear_victim, compute_frontier
 
     rate = options.false_alarms_per_hour
     rate = STANDARD_RATE if rate is None else rate
-    known = report.parse_sensor_knowledge(sensors)
+    check_choice("knowledge of the inertial sensors' constants", sensors, report.SENSORS)
     picture = None if figure is None else check_picture(figure)
     suite, reports = build_suite(
         options,
@@ -106,7 +98,7 @@ def limits(
         frontier = compute_frontier(
             setup,
             worlds=worlds,
-            sensors_known=known,
+            sensors_known=report.SENSORS[sensors],
             entropy=options.seed,
             times=0 if picture is None else report.TIMES,
             tick=lambda part: bar.advance(part, "floor"),
@@ -115,9 +107,8 @@ def limits(
         setup, frontier, false_alarms_per_hour=rate, budget=alarm_budget, seed=options.seed
     )
     if spoofer:
-        player = suite.spoofer_players[-1]
         record["divergence"] = report.divergence_record(
-            setup, frontier, player, record["p_fa"], alarm_budget
+            setup, frontier, suite.spoofer_players[-1], record["p_fa"], alarm_budget
         )
     if detector or task:
         suite = calibrate_suite(suite, detector, threads)

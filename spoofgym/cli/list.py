@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from typer import Argument
 
@@ -14,15 +14,13 @@ from .app import print_json, print_lines
 
 
 def list_(
-    name: Annotated[
-        str | None,
-        Argument(
-            help="Kind: envs, scenarios, attacks, detectors, spoofers, shipped or tasks. Or one of "
-            "them: an attack, detector or spoofer, whose settings are listed, and what is valid; "
-            "an environment or scenario; a task and its scores; a shipped policy, or an .onnx or "
-            ".json file, with what it fits and how it was made. Default: all kinds but tasks."
-        ),
-    ] = None,
+    name: str | None = Argument(
+        None,
+        help="Kind: envs, scenarios, attacks, detectors, spoofers, shipped or tasks. Or one of "
+        "them: an attack, detector or spoofer, whose settings are listed, and what is valid; "
+        "an environment or scenario; a task and its scores; a shipped policy, or an .onnx or "
+        ".json file, with what it fits and how it was made. Default: all kinds but tasks.",
+    ),
     as_json: opt.Json = False,
 ) -> None:
     """List what there is, or show one thing by its name: its settings, scores, how it was made."""
@@ -78,7 +76,7 @@ def _find(name: str) -> Found:
 
 def _find_card(name: str, others: Sequence[str]) -> Found:
     """The card of a policy by its name or file; `others`: what else a name could have been."""
-    from ..bench.report.cards import SCORES, card_rows, find_card
+    from ..bench.report.catalogue import SCORES, card_rows, find_card
     from ..bench.report.table import FIELDS
     from ..core.registry import suggest_name
     from ..policies import SpooferCard, list_shipped

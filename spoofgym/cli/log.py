@@ -87,7 +87,7 @@ def judge_(
     log: File,
     detector: Detectors,
     false_alarms_per_hour: Rate = None,
-    window_s: Annotated[float, Option(help="Length of a window, in seconds.")] = 160.0,
+    window_s: float = Option(160.0, help="Length of a window, in seconds."),
     as_json: opt.Json = False,
 ) -> None:
     """Play detectors over a log: alarms, and the largest ratio of statistic to threshold."""
@@ -126,22 +126,18 @@ def attack_(
     log: File,
     detector: Detectors,
     false_alarms_per_hour: Rate = None,
-    attack_s: Annotated[float, Option(help="Length of an attack, in seconds.")] = 150.0,
-    time_to_alert_s: Annotated[
-        float, Option(help="Time after it in which an alarm still counts, in seconds.")
-    ] = 10.0,
-    heading_deg: Annotated[
-        float, Option(help="Where the false position goes, clockwise from north.")
-    ] = 90.0,
-    rate_limit_mps: Annotated[float, Option(help="Largest rate of the false position.")] = 5.0,
-    spoofer: Annotated[
-        list[str] | None,
-        Option(
-            help="Spoofer that plays as it is in place of the families, may be repeated; a .json "
-            f"file, such as an audit writes, too. {opt.SPEC_HELP}"
-        ),
-    ] = None,
-    out: Annotated[Path | None, Option("--out", "-o", help="Picture, .png, .svg or .pdf.")] = None,
+    attack_s: float = Option(150.0, help="Length of an attack, in seconds."),
+    time_to_alert_s: float = Option(
+        10.0, help="Time after it in which an alarm still counts, in seconds."
+    ),
+    heading_deg: float = Option(90.0, help="Where the false position goes, clockwise from north."),
+    rate_limit_mps: float = Option(5.0, help="Largest rate of the false position."),
+    spoofer: list[str] | None = Option(
+        None,
+        help="Spoofer that plays as it is in place of the families, may be repeated; a .json "
+        f"file, such as an audit writes, too. {opt.SPEC_HELP}",
+    ),
+    out: Path | None = Option(None, "--out", "-o", help="Picture, .png, .svg or .pdf."),
     threads: opt.Threads = None,
     as_json: opt.Json = False,
 ) -> None:
@@ -178,8 +174,7 @@ def attack_(
             series = f"{row['detector']}, {100.0 * row['budget']:.2g} % alarm"
             lines.setdefault(row["family"], []).append(Dot(series, row[MOVED], not row["at_limit"]))
         dots = [DotRow(family, own) for family, own in lines.items()]
-        draw = draw_dots(dots, "undetected displacement [m]")
-        save_drawing(draw, dots_height(dots), picture)
+        save_drawing(draw_dots(dots, "undetected displacement [m]"), dots_height(dots), picture)
     if as_json:
         print_json(results)
         return
@@ -226,38 +221,28 @@ def _say(bound: dict[str, Any]) -> str:
 @group.command("import")
 @clear_errors
 def import_log(
-    files: Annotated[
-        list[Path],
-        Argument(
-            help="Log of PX4 (.ulg) or ArduPilot (.bin), a table (.csv, .parquet) or matrices "
-            "(.npz, .mat); or raw measurements: observations (RINEX 2 or 3, or a table of "
-            "RXM-RAWX), navigation files (RINEX), and a table of inertial samples."
-        ),
-    ],
-    out: Annotated[Path, Option("--out", "-o", help="File to write, .npz or .csv.")],
-    mapping: Annotated[
-        Path | None,
-        Option(help="TOML file that says what the columns of the inertial samples are."),
-    ] = None,
-    static: Annotated[
-        bool, Option("--static", help="The receiver was at rest; no inertial samples.")
-    ] = False,
-    grade: Annotated[str, Option(help="Grade of the inertial sensors.")] = "consumer",
-    noise_factors: Annotated[
-        tuple[float, float],
-        Option(
-            help="Factors on the standard deviations of pseudoranges and range rates, those of the "
-            "receiver itself or 2.5 m and 0.1 m/s."
-        ),
-    ] = (1.0, 1.0),
-    keep_odd: Annotated[
-        bool,
-        Option(
-            "--keep-odd",
-            help="Keep satellites whose ranges disagree by over 500 m in the log, for tests of "
-            "ranges: the filter does not use them.",
-        ),
-    ] = False,
+    files: list[Path] = Argument(
+        help="Log of PX4 (.ulg) or ArduPilot (.bin), a table (.csv, .parquet) or matrices "
+        "(.npz, .mat); or raw measurements: observations (RINEX 2 or 3, or a table of "
+        "RXM-RAWX), navigation files (RINEX), and a table of inertial samples."
+    ),
+    out: Path = Option(..., "--out", "-o", help="File to write, .npz or .csv."),
+    mapping: Path | None = Option(
+        None, help="TOML file that says what the columns of the inertial samples are."
+    ),
+    static: bool = Option(False, "--static", help="The receiver was at rest; no inertial samples."),
+    grade: str = Option("consumer", help="Grade of the inertial sensors."),
+    noise_factors: tuple[float, float] = Option(
+        (1.0, 1.0),
+        help="Factors on the standard deviations of pseudoranges and range rates, those of the "
+        "receiver itself or 2.5 m and 0.1 m/s.",
+    ),
+    keep_odd: bool = Option(
+        False,
+        "--keep-odd",
+        help="Keep satellites whose ranges disagree by over 500 m in the log, for tests of "
+        "ranges: the filter does not use them.",
+    ),
     as_json: opt.Json = False,
 ) -> None:
     """Write a log of an autopilot, or of a filter run over raw measurements, as one of innovations;

@@ -1,7 +1,5 @@
 """Options of several commands, each written once."""
 
-# ruff: noqa: RUF009 - the defaults of the records are for typer, which fills in every field
-
 from __future__ import annotations
 
 import functools
@@ -37,29 +35,9 @@ Task = Annotated[
         "attack, times and detectors; see `spoofgym list tasks`."
     ),
 ]
-Detector = Annotated[
-    str | None,
-    Option(
-        help="Detector; an .onnx file, too. Default: ewma, or one that suits the victim. "
-        f"{SPEC_HELP}"
-    ),
-]
-Spoofer = Annotated[str, Option(help=f"Spoofer; a shipped name or an .onnx file, too. {SPEC_HELP}")]
-Run = Annotated[
-    int,
-    Option("--run", min=0, max=LARGEST_RUNS - 1, help="Which of the benchmark's evaluation runs."),
-]
 Seed = Annotated[int, Option(help="Seed of the random number generators.")]
 Threads = Annotated[
     int | None, Option(min=1, help="Threads of the engine. Default: all useful cores.")
-]
-Jobs = Annotated[
-    int | None,
-    Option(
-        min=1,
-        help="Processes of this machine that compute at a time. Default: 1; in the default world, "
-        "the processors.",
-    ),
 ]
 Processes = Annotated[
     int, Option("--jobs", min=1, help="Processes of this machine that compute at a time.")
@@ -88,21 +66,6 @@ Budget = Annotated[
 Runs = Annotated[
     int | None,
     Option(min=2, max=LARGEST_RUNS, help="Evaluation runs, the same for all. Default: --budget's."),
-]
-Rate = Annotated[
-    float | None,
-    Option(
-        "--false-alarms-per-hour",
-        help="Rate of false alarms of all detectors that request no thresholds of their own; "
-        "calibrated here where that has not been done. Default: 0.2.",
-    ),
-]
-Oracles = Annotated[
-    bool,
-    Option(
-        "--allow-oracles",
-        help="Admit detectors whose settings reveal the attack; results are marked.",
-    ),
 ]
 
 
@@ -254,8 +217,16 @@ class SuiteOptions(WorldOptions):
     """Options of the runs of detectors and spoofers in a world."""
 
     seed: Seed = 0
-    allow_oracles: Oracles = False
-    false_alarms_per_hour: Rate = None
+    allow_oracles: bool = Option(
+        False,
+        "--allow-oracles",
+        help="Admit detectors whose settings reveal the attack; results are marked.",
+    )
+    false_alarms_per_hour: float | None = Option(
+        None,
+        help="Rate of false alarms of all detectors that request no thresholds of their own; "
+        "calibrated here where that has not been done. Default: 0.2.",
+    )
 
 
 TIMES = ("warmup_s", "live_s", "attack_s", "time_to_alert_s")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from typer import Option
 
@@ -23,27 +23,36 @@ if TYPE_CHECKING:
 class RunOptions(SuiteOptions):
     """Options of one run."""
 
-    detector: opt.Detector = None
-    spoofer: opt.Spoofer = "ramp"
-    number: opt.Run = 0
+    detector: str | None = Option(
+        None,
+        help="Detector; an .onnx file, too. Default: ewma, or one that suits the victim. "
+        f"{opt.SPEC_HELP}",
+    )
+    spoofer: str = Option(
+        "ramp", help=f"Spoofer; a shipped name or an .onnx file, too. {opt.SPEC_HELP}"
+    )
+    number: int = Option(
+        0,
+        "--run",
+        min=0,
+        max=opt.LARGEST_RUNS - 1,
+        help="Which of the benchmark's evaluation runs.",
+    )
 
 
 @with_options
 def run(
     *,
-    out: Annotated[
-        Path,
-        Option(
-            help="File of the picture, .png without an ending; an animation by .gif, .webp, or "
-            ".mp4, which needs FFmpeg; every epoch as numbers by .mat or .parquet."
-        ),
-    ] = Path("episode.png"),
-    picture: Annotated[bool, Option(help="Draw the picture.")] = True,
-    fps: Annotated[
-        float,
-        Option(help="Frames of an animation a second; 2 is real time with epochs of 0.5 s."),
-    ] = 25.0,
-    every: Annotated[int, Option(min=1, help="A frame for every so many epochs.")] = 1,
+    out: Path = Option(
+        Path("episode.png"),
+        help="File of the picture, .png without an ending; an animation by .gif, .webp, or "
+        ".mp4, which needs FFmpeg; every epoch as numbers by .mat or .parquet.",
+    ),
+    picture: bool = Option(True, help="Draw the picture."),
+    fps: float = Option(
+        25.0, help="Frames of an animation a second; 2 is real time with epochs of 0.5 s."
+    ),
+    every: int = Option(1, min=1, help="A frame for every so many epochs."),
     as_json: opt.Json = False,
     options: RunOptions,
 ) -> None:

@@ -6,24 +6,14 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from . import options as opt
 from .app import progress
-from .options import (
-    ENV,
-    SCENARIO_OPTIONS,
-    TASK_OPTIONS,
-    TIMES,
-    WORLD_OPTIONS,
-    SuiteOptions,
-    WorldOptions,
-    parse_specs,
-)
 
 if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
     from ..bench.runs.players import PlayerSpec
     from ..bench.runs.world import World
     from ..bench.search.amplitude import Tuning
-    from ..bench.search.attack_suite import Selection
     from ..core.registry import Spec
 
 LEFT_OUT = " is left out: "
@@ -32,7 +22,7 @@ Reports = dict[str, Any] | None
 """Of real input, as `RealInput` has them."""
 
 
-def state_reality(options: WorldOptions) -> list[str]:
+def state_reality(options: opt.WorldOptions) -> list[str]:
     """What is real of a recorded track, where one is flown."""
     if options.track is None:
         return []
@@ -41,12 +31,12 @@ def state_reality(options: WorldOptions) -> list[str]:
     return [ONLY_TRAJECTORY]
 
 
-def make_world(options: WorldOptions, task: str | None = None) -> World:
+def make_world(options: opt.WorldOptions, task: str | None = None) -> World:
     """The world of the options, or of a task."""
     from ..bench.runs.world import World
 
     if task is not None:
-        refuse_decided(options, "--task", WORLD_OPTIONS)
+        refuse_decided(options, "--task", opt.WORLD_OPTIONS)
         return World.of(task)
     decided = _victim(options)[0]
     decided.pop("notes", None)
@@ -54,7 +44,7 @@ def make_world(options: WorldOptions, task: str | None = None) -> World:
 
 
 def build_suite(
-    options: SuiteOptions,
+    options: opt.SuiteOptions,
     detectors: Sequence[str] | None,
     *,
     task: str | None = None,
@@ -64,12 +54,9 @@ def build_suite(
     **settings: Any,
 ) -> tuple[Suite, Reports]:
     """The suite of the options or of a task, and the reports of real input; nothing is looked up.
-
-    `nominal`: whether detectors that request no thresholds have them as published; `headline`:
-    whether they have one rate of false alarms, and controls, unless a task or an option decides
-    otherwise; `standard`: whether it is the standard suite, whose controls play with detectors that
-    are named, too; `settings`: those of a suite that no task decides.
-    """
+    `nominal`: published thresholds where none are requested; `headline`: one rate of false alarms,
+    and controls, unless a task or an option decides otherwise; `standard`: the standard suite,
+    whose controls also play with detectors that are named; `settings`: of the suite."""
     from ..bench.experiments.suite import Suite, standard_kwargs
     from ..detectors.calibrated import STANDARD_RATE
     from ..tasks import get_task
@@ -79,7 +66,7 @@ def build_suite(
         raise ValueError("--nominal and --false-alarms-per-hour can't both be given")
     settings |= {"entropy": options.seed, "allow_oracles": options.allow_oracles}
     if task is not None:
-        refuse_decided(options, "--task", TASK_OPTIONS)
+        refuse_decided(options, "--task", opt.TASK_OPTIONS)
         chosen = get_task(task)
         notes = (f"task {chosen.key} of {chosen.suite}: {chosen.title}",)
         return Suite(**chosen.suite_kwargs, notes=notes, **settings), None
@@ -107,7 +94,7 @@ def _detectors(
     from ..detectors.build import asks
 
     own = {name: x for name, x in decided.items() if name not in ("notes", "alert_limit_m")}
-    world, specs = World.of(**own), parse_specs(texts) if texts else None
+    world, specs = World.of(**own), opt.parse_specs(texts) if texts else None
     usual: Sequence[Spec] = ()
     if specs is None:  # which flies the world
         usual = list_standard_detectors() if standard else world.default_detectors
@@ -128,7 +115,7 @@ def _detectors(
     ]
 
 
-def refuse_decided(options: WorldOptions, decider: str, names: Collection[str]) -> None:
+def refuse_decided(options: opt.WorldOptions, decider: str, names: Collection[str]) -> None:
     """Raise where an option is given that another one decides."""
     from ..core.registry import refuse_overrides
 
@@ -139,7 +126,7 @@ def calibrate_suite(suite: Suite, detectors: Sequence[str] | None, threads: int 
     """A suite whose detectors all have thresholds; of `all`, those that can't are left out."""
     from ..bench.experiments.calibration import calibrate_players
 
-    given = {spec["name"] for spec in parse_specs(detectors or ("all",))}
+    given = {spec["name"] for spec in opt.parse_specs(detectors or ("all",))}
     labels = [entry.label for entry in suite.detector_players if entry.spec["name"] not in given]
     optional = labels if "all" in given else ()
     refused = calibrate_players(
@@ -186,14 +173,7 @@ def make_tuning(runs: int, budget: float, **settings: Any) -> Tuning:
         raise ValueError(text.replace("`budget`", "--alarm-budget")) from error
 
 
-def make_selection(runs: int) -> Selection | None:
-    """A search for the worst attack on so many runs, of which a quarter sifts; None for none."""
-    from ..bench.search.attack_suite import Selection
-
-    return Selection(runs=runs, sift_runs=max(runs // 4, 1)) if runs else None
-
-
-def _victim(options: WorldOptions) -> tuple[dict[str, Any], Reports]:
+def _victim(options: opt.WorldOptions) -> tuple[dict[str, Any], Reports]:
     """Environment, settings of the victim and notes, and the reports of real input."""
     from ..core.registry import parse_setting
 
@@ -206,7 +186,7 @@ def _victim(options: WorldOptions) -> tuple[dict[str, Any], Reports]:
     return {**decided, "settings": own}, reports
 
 
-def _own_options(options: WorldOptions, other: bool) -> tuple[dict[str, Any], Reports]:
+def _own_options(options: opt.WorldOptions, other: bool) -> tuple[dict[str, Any], Reports]:
     """Environment and settings that have options of their own, and the reports of real input;
     `other`: whether a scenario is given otherwise."""
     from ..envs.factory import choose_env_id, find_environment
@@ -215,30 +195,33 @@ def _own_options(options: WorldOptions, other: bool) -> tuple[dict[str, Any], Re
     other = other or bool(options.find_passed(("scenario", "track")))
     env = options.env or choose_env_id(["scenario"] if other else [])
     kind, usual = find_environment(env)
-    times = {name: x for name in TIMES if (x := getattr(options, name)) is not None}
+    times = {name: x for name in opt.TIMES if (x := getattr(options, name)) is not None}
     decided: dict[str, Any] = {"env": env}
     if times:
         decided["timeline"] = {**usual.get("timeline", {}), **times}
     if kind is not TightlyCoupledSetup:
-        for option in options.find_passed(SCENARIO_OPTIONS).values():
+        for option in options.find_passed(opt.SCENARIO_OPTIONS).values():
             raise ValueError(
-                f"{option} is an option of {ENV}, not of {env}, whose settings are given with --set"
+                f"{option} is an option of {opt.ENV}, not of {env}, whose settings are given with "
+                "--set"
             )
         return decided, None
     if options.tuning is not None:
         decided["receiver"] = {"tuning": options.tuning}
     if options.attack is not None:
-        (decided["attack"],) = parse_specs([options.attack])
+        (decided["attack"],) = opt.parse_specs([options.attack])
     scenario, lines, reports = _scenario(options, usual.get("scenario"))
     return {**decided, **scenario, "notes": lines}, reports
 
 
-def _scenario(options: WorldOptions, usual: Any) -> tuple[dict[str, Any], tuple[str, ...], Reports]:
+def _scenario(
+    options: opt.WorldOptions, usual: Any
+) -> tuple[dict[str, Any], tuple[str, ...], Reports]:
     """The scenario, where an option changes that of the environment, and the lines and reports of
     real input."""
     from ..truth.scenario import make_scenario
 
-    spec = parse_specs([options.scenario])[0] if options.scenario else usual
+    spec = opt.parse_specs([options.scenario])[0] if options.scenario else usual
     own = {"errors": options.errors, "imu": options.imu}
     own = {key: x for key, x in own.items() if x is not None}
     own = {**({"name": spec} if isinstance(spec, str) else spec or {}), **own}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Annotated, Any
+from typing import Any
 
 from typer import Argument
 
@@ -16,10 +16,9 @@ FORMS: dict[str, int | None] = {"single": None, "batch": 8}
 
 
 def warmup(
-    ids: Annotated[
-        list[str] | None,
-        Argument(help="Environments, such as Snapshot-v0. Default: all that are registered."),
-    ] = None,
+    ids: list[str] | None = Argument(
+        None, help="Environments, such as Snapshot-v0. Default: all that are registered."
+    ),
     as_json: opt.Json = False,
 ) -> None:
     """Compile for this machine what first episodes need, so that none of them waits for it.

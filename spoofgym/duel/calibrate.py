@@ -13,12 +13,7 @@ from ..calibration.clean_runs import Player
 from ..core.declared import check_number
 from ..core.registry import require, whole_number
 from ..core.settings import compute_digest, describe
-from ..detectors.calibration_file import (
-    Calibration,
-    compute_min_runs,
-    hourly_rate,
-    list_stored_ranks,
-)
+from ..detectors import calibration_file as files
 from ..detectors.learned import PolicyDetector
 from ..policies.contract import DetectorPolicy, as_policy
 from .duel import WITHIN, make_duel
@@ -34,7 +29,7 @@ def calibrate_policy(
     decision_delay: int = 0,
     store: str | os.PathLike[str] | None = None,
     **settings: Any,
-) -> Calibration:
+) -> files.Calibration:
     """Clean runs of a frozen detector policy, from which its thresholds are read.
 
     Clean episodes are played to their end without a threshold, and the largest statistic of each is
@@ -77,9 +72,9 @@ def calibrate_policy(
     check_number("false_alarm", false_alarm, above=0.0, below=1.0)
     runs, seed = whole_number("`runs`", runs), whole_number("`seed`", seed)
     whole_number("`receivers`", receivers, 1)
-    if runs < compute_min_runs(false_alarm):
+    if runs < files.compute_min_runs(false_alarm):
         raise ValueError(
-            f"`runs` must be at least {compute_min_runs(false_alarm)} for `false_alarm` = "
+            f"`runs` must be at least {files.compute_min_runs(false_alarm)} for `false_alarm` = "
             f"{false_alarm:g}, got {runs}"
         )
     frozen = as_policy(policy)
@@ -100,7 +95,7 @@ def calibrate_policy(
         request = {"false_alarm": false_alarm, "runs": runs, "seed": seed}
         path = Path(store) / f"{compute_digest({**request, 'world': world, **detector})}.json"
         if path.is_file():
-            found = Calibration.load(path)
+            found = files.Calibration.load(path)
             found.check_matches(world, detector, setup.name, rescaled=False)
             require(
                 (found.runs, found.entropy) == (runs, seed),
@@ -125,8 +120,8 @@ def calibrate_policy(
     if duel.within:
         judged = np.maximum(before, judged)
         window_s += float(played.age_s.mean()) - setup.filter_only * setup.interval_s
-    ranks = list_stored_ranks(runs, window_s, [hourly_rate(false_alarm, window_s)])
-    found = Calibration.from_maxima(
+    ranks = files.list_stored_ranks(runs, window_s, [files.hourly_rate(false_alarm, window_s)])
+    found = files.Calibration.from_maxima(
         before,
         judged,
         ranks=ranks,

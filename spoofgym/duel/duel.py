@@ -70,7 +70,7 @@ class DuelStep(NamedTuple):
 
 
 class Duel:
-    """Episodes of a spoofer against a detector agent, for B receivers.
+    """Episodes of a spoofer against a detector agent, the detector of `setup`, for B receivers.
 
     One epoch is `arrive`, then `decide`.  The spoofer decides at the first of every `Setup.repeat`
     epochs, counted from the onset, and is commanded from there as `Setup.command` says; the
@@ -81,19 +81,12 @@ class Duel:
     which the offsets hold their rate.
 
     With `onset` ``"within"`` an episode begins where the detectors go live, and the attack at the
-    age that the world draws (`Domain.age_s`). In the epochs before it the detector decides as in
-    all others, and the spoofer is not called: they are epochs of a clean episode, which an alarm
-    ends as a false one.
+    age that the world draws (`Domain.age_s`). In the epochs before it (`before_onset`, (B,) at the
+    last that has arrived) the detector decides as in all others, and the spoofer is not called:
+    they are epochs of a clean episode, which an alarm ends as a false one.
 
-    - `before_onset` (B,) bool, whether the last epoch that has arrived is one of these;
-    - `setup`: its detector is a `DetectorAgent`;
-    - `false_alarm`: rate that a running threshold keeps;
-    - `decision_delay`: whether an epoch is judged by a decision on itself, or by one on the epoch
-      before;
-    - `attack_probability`: in [0, 1];
-    - `core`: the receivers, and what the spoofer observes;
-    - `score`: what counts of the running episodes;
-    - `attacked` (B,) bool, what nature has drawn.
+    `decision_delay`: whether an epoch is judged by a decision on itself, or by one on the epoch
+    before; `false_alarm`: rate that a running threshold keeps.
     """
 
     def __init__(
@@ -168,8 +161,7 @@ class Duel:
     @property
     def deciding(self) -> NDArray[np.bool_]:
         """(B,) bool, whether the spoofer decides before the coming epoch."""
-        due = self._decisions.due(self.score.step_count)
-        return np.asarray(due & ~self._awaits_onset())
+        return np.asarray(self._decisions.due(self.score.step_count) & ~self._awaits_onset())
 
     def _awaits_onset(self) -> NDArray[np.bool_]:
         """(B,) bool, whether the coming epoch is before the onset."""
@@ -182,9 +174,9 @@ class Duel:
         rows: NDArray[np.intp] | None = None,
         given: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begin new episodes, and run their warm-up, in which the detector agent is not called; of
-        one with the onset ``"within"`` only the part without detectors.
-        `rngs`: one per row; one that a receiver has not had before restarts a running threshold."""
+        """Begin new episodes by their warm-up, in which the agent is not called; with the onset
+        ``"within"`` only the part without detectors. A generator that a row has not had restarts
+        its threshold."""
         where = self._all_rows if rows is None else rows
         self.core.reset(rngs, rows, given)
         self.score.reset(where)
@@ -200,8 +192,8 @@ class Duel:
 
     def arrive(self, action: FloatArray | None, rows: NDArray[np.intp] | None = None) -> None:
         """First half of an epoch: the spoofer moves, measurements arrive, the detector looks.
-        `action` (B, k) in [-1, 1]; not looked at in clean episodes, after the last command, and
-        where no decision is due. None where none is due at all: see `deciding`."""
+        `action` (B, k) in [-1, 1] counts where a decision is due (see `deciding`); None where none
+        is at all."""
         where = self._all_rows if rows is None else rows
         due = where[self.deciding[where]]
         if len(due):

@@ -17,14 +17,7 @@ from ..detectors import Detector
 from ..detectors.build import spec_of_judge
 from ..detectors.pool import normalize_weights
 from ..envs.core import SpoofCore
-from ..envs.factory import (
-    CORE,
-    DEFAULT_ID,
-    DEFAULT_VICTIM,
-    choose_env_id,
-    make_core,
-    select_victim,
-)
+from ..envs.factory import CORE, DEFAULT_ID, DEFAULT_VICTIM, choose_env_id, make_core, select_victim
 from ..envs.terms import describe_terms
 from ..simulation.setup import Setup
 from ..simulation.tight import TightlyCoupledSetup

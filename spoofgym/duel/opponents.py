@@ -45,9 +45,8 @@ def label_opponent(spec: Any) -> str:
 
 
 def make_opponent(spec: DetectorSpec, quiet_epochs: int = 0) -> Detector:
-    """Detector of a pool, at the default rate of false alarms where it requests no thresholds.
-    `quiet_epochs`: of the monitored warm-up, in which a policy without a number of its own is not
-    called."""
+    """Detector of a pool, at the default rate of false alarms where it requests no thresholds; a
+    policy without `quiet_epochs` of its own gets these."""
     made = detector_in_world(spec)
     inner: Any = made.detector if isinstance(made, Calibrated) else made
     policy = getattr(inner, "judge_by", inner)
@@ -59,22 +58,17 @@ def make_opponent(spec: DetectorSpec, quiet_epochs: int = 0) -> Detector:
 def pooled_detector(
     pool: Sequence[DetectorSpec] | DetectorSpec, weights: Sequence[float] | None, live: int
 ) -> PooledDetector:
-    """Detectors of which one is drawn for every episode. `weights`: probability of each; all alike
-    by default."""
+    """Detectors of which one is drawn for every episode, by `weights`."""
     return PooledDetector(
         [make_opponent(spec, live) for spec in list_opponents(pool, Detector)], weights
     )
 
 
 class SpooferPool:
-    """Spoofers of which one commands a receiver for a whole episode.
+    """Spoofers of which one, `opponent` (B,), commands a receiver for a whole episode.
 
-    Every spoofer that has a receiver at present is called once a decision, its own or the world's,
-    with the observations that its knowledge allows, for all receivers; each receiver takes the
-    command of its own.
-
-    `weights`: probability of each; all alike by default; `opponent` (B,) index of the spoofer of
-    every receiver.
+    Every one that has a receiver is called once a decision, its own or the world's, for all of
+    them, with what its knowledge allows; each receiver takes the command of its own.
     """
 
     def __init__(
@@ -141,8 +135,7 @@ class SpooferPool:
                 decisions.take(self._decide(k, seen[key], due), due)
             self._commands[k].aim(snapshot.simulator.heading)
             taken = decisions.action(snapshot.step)
-            given = self._commands[k].command(taken, snapshot.simulator.commanded_rate)
-            command[own] = given[own]
+            command[own] = self._commands[k].command(taken, snapshot.simulator.commanded_rate)[own]
         return command
 
     def _decide(self, k: int, seen: NDArray[np.float32], rows: NDArray[np.intp]) -> FloatArray:

@@ -18,9 +18,8 @@ RUNNING = "running"
 
 
 class DuelOutcome(NamedTuple):
-    """What a step has brought, (B,) each: gain and retraction as in `reward.Outcome`; whether it
-    brought the `first` alarm; whether an attack is on, which before the onset none is; and whether
-    none has alarmed yet."""
+    """What a step has brought (B,): `gain` and `retraction` as in `reward.Outcome`; whether it
+    brought the `first` alarm; whether an attack is on, and whether none has alarmed yet."""
 
     gain: FloatArray
     retraction: FloatArray
@@ -52,10 +51,7 @@ class Weighted:
         default=100.0, least=0.0, help="Price of an alarm in a clean episode, or before the onset."
     )
     delay_per_s: float = setting(
-        default=0.1,
-        least=0.0,
-        unit="1/s",
-        help="Price of a second under attack without an alarm.",
+        default=0.1, least=0.0, unit="1/s", help="Price of a second under attack without an alarm."
     )
     error_per_m: float = setting(
         default=1.0,
@@ -98,24 +94,16 @@ class FixedThreshold:
 
 
 class RunningThreshold:
-    r"""Threshold that follows the false alarms of the clean episodes that have been played, each of
-    them as a whole; an attacked episode moves nothing, not even by an alarm before its onset.
-
-    After every clean episode,
+    r"""Threshold (B,) that follows the false alarms of the clean episodes, each as a whole
+    (`gibbs2021`, eq. 2, with their bound); an attacked one moves nothing, not even by an alarm
+    before its onset.
 
     .. math:: h \leftarrow h + g\,(a - \alpha)
 
-    where a is 1 if it had an alarm.  The mean of a over n clean episodes is then below
+    where a is 1 if a clean episode had an alarm.  The mean of a over n of them is then below
     :math:`\alpha + (1 + g - h_0) / (g n)`, whatever the detector does, and however it changes.
-    Every receiver has a threshold of its own, which starts again with its seed.
-
-    `false_alarm`: alpha, rate of clean episodes with an alarm, in (0, 1); `values` (B,) of every
-    receiver.
-
-    Notes
-    -----
-    `gibbs2021`, eq. 2, with their bound.  The threshold stays above 0.001, where statistics below
-    that never alarm; it may exceed 1 for a while, when nothing alarms.
+    Every receiver has its own, which starts again with its seed, stays above 0.001, where
+    statistics below that never alarm, and may exceed 1 for a while, when nothing alarms.
     """
 
     FIRST, GAIN = 0.5, 0.1

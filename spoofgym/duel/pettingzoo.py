@@ -12,16 +12,7 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 
 from ..core.registry import check_keywords
-from ..envs.options import (
-    HALFWAY,
-    action_space,
-    checked_action,
-    checked_seed,
-    domain_option,
-    observation_space,
-    warn_unknown,
-    whole_reset,
-)
+from ..envs import options as opt
 from .duel import SETTINGS, DuelStep, make_duel, refuse_to_draw
 
 Observation = NDArray[np.float32]
@@ -50,11 +41,11 @@ class _Form:
         self.action_names = {SPOOFER: core.action_names, DETECTOR: agent.action_names}
         self.observation_names = {SPOOFER: core.observation_names, DETECTOR: agent.observer.names}
         self.observation_spaces: dict[str, spaces.Space[Any]] = {
-            SPOOFER: observation_space(core),
+            SPOOFER: opt.observation_space(core),
             DETECTOR: spaces.Box(agent.observer.low, agent.observer.high, dtype=np.float32),
         }
         self.action_spaces: dict[str, spaces.Space[Any]] = {
-            SPOOFER: action_space(core),
+            SPOOFER: opt.action_space(core),
             DETECTOR: spaces.Box(-1.0, 1.0, (len(agent.action_names),), dtype=np.float32),
         }
         self.render_mode = None
@@ -76,10 +67,10 @@ class _Form:
         return bool(self.duel.deciding[0])
 
     def _start_episode(self, seed: int | None, options: dict[str, Any] | None) -> None:
-        with whole_reset(self):
-            warn_unknown(options, ("domain",))
-            given = domain_option(options)
-            seed = checked_seed(seed)
+        with opt.whole_reset(self):
+            opt.warn_unknown(options, ("domain",))
+            given = opt.domain_option(options)
+            seed = opt.checked_seed(seed)
             if seed is not None or self._rng is None:
                 self._rng = seeding.np_random(seed)[0]
             self.duel.reset([self._rng], given=given)
@@ -87,14 +78,14 @@ class _Form:
 
     def _check_running(self) -> None:
         if self._halfway:
-            raise RuntimeError(HALFWAY)
+            raise RuntimeError(opt.HALFWAY)
         if not self.agents:
             raise RuntimeError("the episode is over: call reset() before step()")
 
     def _check_action(self, agent: str, action: Any) -> NDArray[np.float64]:
         names = self.action_names[agent]
         try:
-            return checked_action(action, (len(names),), names)[None]
+            return opt.checked_action(action, (len(names),), names)[None]
         except (TypeError, ValueError) as error:
             raise ValueError(f"{agent}: {error}") from error
 

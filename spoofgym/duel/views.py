@@ -27,13 +27,7 @@ from ..simulation.monitors import FloatArray, PastPositions
 from ..simulation.tight import TightlyCoupledSetup
 from ..spoofers.build import SpooferSpec
 from .duel import SETTINGS, default_opponent, make_duel, refuse_to_draw, with_world
-from .opponents import (
-    DetectorSpec,
-    SpooferPool,
-    label_opponent,
-    list_opponents,
-    pooled_detector,
-)
+from .opponents import DetectorSpec, SpooferPool, label_opponent, list_opponents, pooled_detector
 
 DetectorPool = Sequence[DetectorSpec] | DetectorSpec
 SpooferPoolSpec = Sequence[SpooferSpec] | SpooferSpec
@@ -93,17 +87,14 @@ class SpooferSide:
         return core
 
     def opponents(self) -> list[str]:
-        drawn = self.core.engine.simulator.detector.memory["opponent"]
-        return [self.labels[k] for k in drawn]
+        return [self.labels[k] for k in self.core.engine.simulator.detector.memory["opponent"]]
 
 
 class DetectorCore:
-    """Episodes of B receivers, in which the learner is the detector. With ``decision_delay=0`` an
-    observation is of the epoch that the next action judges; with 1 it is of the epoch before. A
-    step is an epoch, however seldom the spoofers decide. `settings` are those of `make_duel`.
-    Nothing that the learner is shown before the end depends on when the attack begins, but for the
-    measurements and the payoff.
-    `reset_names`, `info_names`: keys of `reset_info`, and of the information of a step."""
+    """Episodes of B receivers, in which the learner is the detector; a step is an epoch. With
+    ``decision_delay=0`` an observation is of the epoch that the next action judges; with 1 of the
+    one before. Nothing that the learner is shown before the end depends on when the attack begins,
+    but for the measurements and the payoff. `settings` are those of `make_duel`."""
 
     reset_names: tuple[str, ...] = ("time_s", "decision_delay")
     info_names: tuple[str, ...] = (
@@ -173,16 +164,12 @@ class DetectorCore:
             done = self.duel.decide(action)
         over, all_ = done.terminated, done.info
         info: Info = {
-            "time_s": all_["time_s"],
-            "alarm": all_["alarm"],
-            "statistic": all_["statistic"],
-            "threshold": all_["threshold"],
+            **{name: all_[name] for name in ("time_s", "alarm", "statistic", "threshold")},
             "decision_delay": np.full(self.receivers, self.duel.decision_delay),
             "attacked": all_["attacked"] & over,
             "undetected_displacement_m": np.where(over, all_["undetected_displacement_m"], 0.0),
         }
-        result = PlainResult(done.detector_reward, over, np.zeros_like(over), info)
-        return result, self.observe()
+        return PlainResult(done.detector_reward, over, np.zeros_like(over), info), self.observe()
 
     def single(self, action: FloatArray) -> SingleStep:
         result, observation = self.step(action)

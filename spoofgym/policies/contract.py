@@ -71,12 +71,8 @@ def clip_action(
 
 
 class PolicyContext(NamedTuple):
-    """What a policy is given once, before the first decision.
-
-    - `observation_names` (o,) name of every element of an observation;
-    - `observation_low`, `observation_high` (o,) bounds;
-    - `action_names` (a,) name of every element of an action.
-    """
+    """What a policy is given once: names and bounds (o,) of an observation, and names (a,) of an
+    action."""
 
     receivers: int
     interval_s: float

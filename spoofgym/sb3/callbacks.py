@@ -79,11 +79,9 @@ class RecordEpochs(VecEnvWrapper):
 
 
 class WeightAverage:
-    """Exponential average of the weights of a model's policy, w <- a w + (1 - a) w_now.
-
-    Single updates of a policy jitter, and so do its scores; those of the average do not (Polyak
-    and Juditsky, SIAM Journal on Control and Optimization 30, 1992).  `keeps`: a, in [0, 1).
-    """
+    """Exponential average of the weights of a model's policy, w <- a w + (1 - a) w_now (Polyak and
+    Juditsky, SIAM J. Control and Optimization 30, 1992), which jitters less; `keeps`: a, in [0,
+    1)."""
 
     def __init__(self, keeps: float) -> None:
         self.keeps = keeps
@@ -93,8 +91,7 @@ class WeightAverage:
         """Take the weights of a model into the average; the first ones are the average."""
         for name, weight in model.policy.named_parameters():
             now = weight.detach().cpu().numpy().astype(np.float64)
-            before = self.weights.get(name, now)
-            self.weights[name] = self.keeps * before + (1.0 - self.keeps) * now
+            self.weights[name] = self.keeps * self.weights.get(name, now) + (1.0 - self.keeps) * now
 
     @contextmanager
     def apply(self, model: Any) -> Iterator[None]:

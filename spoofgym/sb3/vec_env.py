@@ -14,22 +14,8 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from ..core.registry import whole_number
 from ..detectors.build import DetectorSpec
 from ..duel.learner import LearnersSide
+from ..envs import options as opt
 from ..envs.factory import compose, expand_signature
-from ..envs.options import (
-    HALFWAY,
-    Array,
-    InfoSpec,
-    action_space,
-    check_vector_settings,
-    checked_action,
-    domain_option,
-    info_keys,
-    observation_space,
-    reseed,
-    select_info,
-    warn_unknown,
-    whole_reset,
-)
 from ..envs.scoring import PlainResult, StepResult
 from ..envs.terms import RewardSpec, make_terms
 from ..spoofers.build import SpooferSpec
@@ -121,10 +107,10 @@ class SpoofVecEnv(VecEnv):
         prefetch: bool = True,
         torch_threads: int | None = 1,
         seed: int | None = None,
-        infos: InfoSpec = "none",
+        infos: opt.InfoSpec = "none",
         **settings: Any,
     ) -> None:
-        check_vector_settings(num_envs, None)
+        opt.check_vector_settings(num_envs, None)
         if seed is not None:
             seed = whole_number("`seed`", seed)
         if torch_threads is not None:
@@ -139,7 +125,7 @@ class SpoofVecEnv(VecEnv):
         self.adopt(made.core(num_envs, threads, prefetch, type(self).__name__))
         self.render_mode = None
         self._rngs: list[np.random.Generator] = []
-        self._actions: Array | None = None
+        self._actions: opt.Array | None = None
         self._halfway = False
         self._returns, self._lengths = np.zeros(num_envs), np.zeros(num_envs, dtype=np.int64)
         self._began = time.perf_counter()
@@ -151,37 +137,40 @@ class SpoofVecEnv(VecEnv):
         """Take a core that has not started, instead of the present one."""
         self.core = core
         self.observation_names, self.action_names = core.observation_names, core.action_names
-        self.observation_space, self.action_space = observation_space(core), action_space(core)
-        self._keys = info_keys(self._infos, core.info_names)
+        self.observation_space, self.action_space = (
+            opt.observation_space(core),
+            opt.action_space(core),
+        )
+        self._keys = opt.info_keys(self._infos, core.info_names)
 
     @property
     def is_started(self) -> bool:
         """Whether an episode has started."""
         return bool(self._rngs)
 
-    def reset(self) -> Array:
+    def reset(self) -> opt.Array:
         """Start a new episode in every receiver, seeded as `seed` said since the last: (B, o)."""
-        self._rngs = reseed(self._rngs, self._seeds, np.ones(self.num_envs, dtype=np.bool_))
+        self._rngs = opt.reseed(self._rngs, self._seeds, np.ones(self.num_envs, dtype=np.bool_))
         given = self._read_domain()
         self._reset_seeds()
         self._reset_options()
-        with whole_reset(self):
+        with opt.whole_reset(self):
             self.core.reset(self._rngs, given=given)
         self._report_starts(range(self.num_envs))
         self._returns[:] = self._lengths[:] = 0
         self._actions = None
         return np.asarray(self.core.observe())
 
-    def step_async(self, actions: Array) -> None:
+    def step_async(self, actions: opt.Array) -> None:
         """Take the commands (B, a) in [-1, 1] of the next step."""
         if not self._rngs:
             raise RuntimeError("call reset() before step()")
         if self._halfway:
-            raise RuntimeError(HALFWAY)
+            raise RuntimeError(opt.HALFWAY)
         shape = (self.num_envs, len(self.action_names))
-        self._actions = checked_action(actions, shape, self.action_names)
+        self._actions = opt.checked_action(actions, shape, self.action_names)
 
-    def step_wait(self) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[opt.Array, opt.Array, opt.Array, list[dict[str, Any]]]:
         """Run one epoch; where an episode has ended, the next one is observed."""
         if self._actions is None:
             raise RuntimeError("call step_async() before step_wait()")
@@ -198,7 +187,9 @@ class SpoofVecEnv(VecEnv):
         self._halfway = False
         return observations, result.reward.astype(np.float32), over, infos
 
-    def end_episodes(self, over: Array, observations: Array, infos: list[dict[str, Any]]) -> Array:
+    def end_episodes(
+        self, over: opt.Array, observations: opt.Array, infos: list[dict[str, Any]]
+    ) -> opt.Array:
         """End the episodes of some receivers, (B,) bool, after a step, and start the next ones.
 
         A wrapper that ends episodes calls it with what `step_wait` has returned.
@@ -231,7 +222,9 @@ class SpoofVecEnv(VecEnv):
         for row in rows:
             self.reset_infos[row] = select_receiver_info(self.starts, row)
 
-    def _at_the_end(self, row: int, observations: Array, info: dict[str, Array]) -> dict[str, Any]:
+    def _at_the_end(
+        self, row: int, observations: opt.Array, info: dict[str, opt.Array]
+    ) -> dict[str, Any]:
         return {
             "terminal_observation": observations[row].copy(),
             "episode": {
@@ -249,14 +242,14 @@ class SpoofVecEnv(VecEnv):
     def _each(self, result: StepResult | PlainResult) -> list[dict[str, Any]]:
         if self._keys is not None and not self._keys:
             return [{} for _ in range(self.num_envs)]
-        wanted = select_info(result.info, self._keys)
+        wanted = opt.select_info(result.info, self._keys)
         lists = {name: array.tolist() for name, array in wanted.items()}
         return [{name: lists[name][row] for name in lists} for row in range(self.num_envs)]
 
     def _read_domain(self) -> dict[str, list[Any]] | None:
         for options in self._options:
-            warn_unknown(options, ("domain",))
-        given = [domain_option(options) or {} for options in self._options]
+            opt.warn_unknown(options, ("domain",))
+        given = [opt.domain_option(options) or {} for options in self._options]
         names = set(given[0])
         if any(set(each) != names for each in given):
             raise ValueError(
@@ -291,15 +284,14 @@ class SpoofVecEnv(VecEnv):
         """Call a method of the environment once; its result once for every receiver."""
         if indices is not None:
             raise ValueError(f"`indices` must be None, receivers are one batch; got {indices!r}")
-        result = getattr(self, method_name)(*method_args, **method_kwargs)
-        return [result] * self.num_envs
+        return [getattr(self, method_name)(*method_args, **method_kwargs)] * self.num_envs
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """False for every receiver: a batch can't be wrapped one by one."""
         return [False for _ in self._get_indices(indices)]
 
 
-def select_receiver_info(arrays: Mapping[str, Array], row: int) -> dict[str, Any]:
+def select_receiver_info(arrays: Mapping[str, opt.Array], row: int) -> dict[str, Any]:
     """Plain values of one receiver, by key."""
     return {name: arrays[name][row : row + 1].tolist()[0] for name in arrays}
 

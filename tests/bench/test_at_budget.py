@@ -131,10 +131,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     pairs = zip(curves[::2], curves[1::2], strict=True)
     differ = [compare_at_budget(first, second, share) for first, second in pairs]
     assert sum(each.low <= 0.0 <= each.high for each in differ) >= 25  # of 30
-    widths = [each.high - each.low for each in found]
-    assert min(widths) > 0.0
-    shifted = compare_at_budget(population(rng, level=0.5), population(rng), share)
-    assert shifted.low > 0.0
+    assert min([each.high - each.low for each in found]) > 0.0
+    assert compare_at_budget(population(rng, level=0.5), population(rng), share).low > 0.0
 
 
 def test_the_best_of_equal_attacks_is_not_flattered_by_the_choice():
@@ -165,8 +163,7 @@ def test_of_few_runs_or_none_a_score_is_what_there_is(runs):
 
 
 def test_where_nothing_alarms_the_largest_amplitude_is_played():
-    runs = Linear(uniform(40) - 1000.0)
-    curve = trace_alarms(runs, SETTINGS)
+    curve = trace_alarms(Linear(uniform(40) - 1000.0), SETTINGS)
     score = score_at_budget(curve, 0.05)
     assert (score.silent_share, score.alarm_rate, score.amplitude.value) == (1.0, 0.0, 10.0)
     assert score.displacement[MOVED].value == pytest.approx(1000.0)
@@ -191,8 +188,7 @@ def test_the_spread_of_the_calibration_enters_the_interval():
     curve = population(rng, each=40)
     before = score_at_budget(curve, 0.1).displacement[MOVED]
     drawn = replace(curve, factors=factors)
-    sharp = replace(drawn, elasticity={MOVED: 5.0})
-    after = score_at_budget(sharp, 0.1).displacement[MOVED]
+    after = score_at_budget(replace(drawn, elasticity={MOVED: 5.0}), 0.1).displacement[MOVED]
     assert after.value == before.value
     own, both = (0.25 * (each.high - each.low) / before.value for each in (before, after))
     assert both == pytest.approx(np.hypot(own, 5.0 * wanted), rel=0.2)
@@ -231,8 +227,7 @@ def test_replay_and_engine_have_the_same_alarm_amplitudes():
     named = {key: x for key, x in WORLD["detector"].items() if key != "thresholds"}
     detector = make_detector(named)
     seeds = lambda: seed_sequences(0, "training", setup.name, 24)  # noqa: E731
-    panel = Panel(setup, [detector], lambda: make_generators(seeds()), 1)
-    engine = EngineRuns(panel, 0, RAMP)
+    engine = EngineRuns(Panel(setup, [detector], lambda: make_generators(seeds()), 1), 0, RAMP)
     backend = ReplayBackend(Replay(setup, [detector], seeds(), threads=1), 0)
     replay = ReplayRuns(backend, engine.span)
     np.testing.assert_array_equal(replay.rows, engine.rows)
@@ -276,14 +271,12 @@ def test_a_shipped_threshold_has_the_spread_of_its_clean_runs():
 
 
 def test_a_score_is_fitted_exactly_on_the_runs_that_it_is_of():
-    judge = Evaluator(**WORLD, runs=120, fit_runs=80, rule=EXACT)
-    found = judge.score("ramp")
+    found = Evaluator(**WORLD, runs=120, fit_runs=80, rule=EXACT).score("ramp")
     assert found.keeps_budget
     assert 0.02 < found.alarm_rate.value <= 0.05
     estimate = found.stealthy_displacement_m
     assert estimate.low < estimate.value < estimate.high
-    mean = found.displacement_m[found.counts].mean()
-    assert estimate.value == pytest.approx(mean, rel=0.01)
+    assert estimate.value == pytest.approx(found.displacement_m[found.counts].mean(), rel=0.01)
     written = found.as_dict()["at_budget"]
     assert written["amplitude"]["value"] == pytest.approx(found.value, rel=1e-3)
     assert written["undetected_total_m"]["value"] > 0.0

@@ -7,22 +7,11 @@ from spoofgym.bench.runs.panel import play_searches
 from spoofgym.bench.runs.play import make_bound_spoofer
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.bench.runs.record import MEASURES, Aim
-from spoofgym.bench.runs.world import VICTIMS, World
-from spoofgym.bench.search.attack_suite import (
-    AMPLITUDE_RANGE,
-    FAMILIES,
-    ORACLES,
-    FamilyAttacks,
-    Selection,
-    SuiteAttack,
-    WorstAttacks,
-    build_grid,
-    list_fitting_attacks,
-    list_suite_attacks,
-    suite_digest,
-)
+from spoofgym.bench.runs.world import World
+from spoofgym.bench.search import attack_suite
 from spoofgym.envs.context import spoofer_context
 from spoofgym.envs.factory import make_setup
+from spoofgym.envs.spoofer_binding import SETUPS
 from spoofgym.spoofers import SpooferContext, make_spoofer
 from spoofgym.spoofers.base import sees_statistics
 from spoofgym.spoofers.scaled import LARGEST, SMALLEST
@@ -30,26 +19,26 @@ from spoofgym.spoofers.scaled import LARGEST, SMALLEST
 from ..lazily import Lazily
 
 
-@pytest.mark.parametrize("env", VICTIMS)
+@pytest.mark.parametrize("env", SETUPS)
 def test_every_member_fits_every_victim_over_its_whole_range(env):
-    setup = make_setup(VICTIMS[env].setup, {"detector": "never"})
+    setup = make_setup(SETUPS[env], {"detector": "never"})
     context = spoofer_context(setup)
-    members = list_fitting_attacks(setup, context)
+    members = attack_suite.list_fitting_attacks(setup, context)
     letters = [member.letter for member in members]
     assert letters == sorted(letters)
-    assert {*letters} == {"a", "b", "h", "e"} <= set(FAMILIES)
+    assert {*letters} == {"a", "b", "h", "e"} <= set(attack_suite.FAMILIES)
     assert len({member.player.label for member in members}) == len(members)
     seeing = set()
     for member in members:
         assert member.player.tuned
-        grid = build_grid(member, context, 4)
+        grid = attack_suite.build_grid(member, context, 4)
         assert grid == sorted(set(grid))
         for value in (grid[0], grid[-1]):
             make_bound_spoofer(member.player.with_value(value), setup, 1)
         if sees_statistics(make_spoofer(member.player.with_value(1.0)).knowledge):
             seeing.add(member.letter)
-    assert seeing == set(ORACLES)
-    assert all("oracle" in FAMILIES[letter] for letter in ORACLES)
+    assert seeing == set(attack_suite.ORACLES)
+    assert all("oracle" in attack_suite.FAMILIES[letter] for letter in attack_suite.ORACLES)
 
 
 def test_every_member_fits_an_action_that_requests_less_than_the_limits():
@@ -62,12 +51,16 @@ def test_every_member_fits_an_action_that_requests_less_than_the_limits():
 
 
 def test_the_digest_follows_the_members_and_profiles_are_smooth_and_within_the_limits():
-    setup = make_setup(VICTIMS["spoofgym/Zhong2025-v0"].setup, {"detector": "never"})
-    context = spoofer_context(setup)
-    members = list_suite_attacks(context)
-    assert suite_digest(members) == suite_digest(list_suite_attacks(context))
-    longer = list_suite_attacks(context._replace(steps=2 * context.steps))
-    assert suite_digest(members) not in (suite_digest(members[1:]), suite_digest(longer))
+    context = spoofer_context(make_setup(SETUPS["spoofgym/Zhong2025-v0"], {"detector": "never"}))
+    members = attack_suite.list_suite_attacks(context)
+    assert attack_suite.suite_digest(members) == attack_suite.suite_digest(
+        attack_suite.list_suite_attacks(context)
+    )
+    longer = attack_suite.list_suite_attacks(context._replace(steps=2 * context.steps))
+    assert attack_suite.suite_digest(members) not in (
+        attack_suite.suite_digest(members[1:]),
+        attack_suite.suite_digest(longer),
+    )
     knot_s = context.steps * context.interval_s / 12.0
     for rates in (
         np.array(each.player.spec["rates_mps"]) for each in members if each.letter == "b"
@@ -97,13 +90,13 @@ class FakePanel:
 PANEL = Lazily(FakePanel)
 
 
-class Halving(WorstAttacks):
-    by_skies = FamilyAttacks.by_skies
-    neighbours, rounds = FamilyAttacks.neighbours, FamilyAttacks.rounds
+class Halving(attack_suite.WorstAttacks):
+    by_skies = attack_suite.FamilyAttacks.by_skies
+    neighbours, rounds = attack_suite.FamilyAttacks.neighbours, attack_suite.FamilyAttacks.rounds
 
 
 def member(letter, **spec):
-    return SuiteAttack(letter, specify_spoofer(spec))
+    return attack_suite.SuiteAttack(letter, specify_spoofer(spec))
 
 
 MEMBERS = (
@@ -117,12 +110,13 @@ CURVE = member("c", name="profile", rates_mps=[0.1, 0.2], amplitude="tuned")
 def found_by(monkeypatch):
     """Search where a function of spec and number of runs says what an attack displaces."""
 
-    def found(moved, limits=(), kind=WorstAttacks, attacks=MEMBERS):
+    def found(moved, limits=(), kind=attack_suite.WorstAttacks, attacks=MEMBERS):
         monkeypatch.setattr(
-            WorstAttacks, "measure", lambda self, panel, attack: moved(attack.spec, attack.runs)
+            attack_suite.WorstAttacks,
+            "measure",
+            lambda self, panel, attack: moved(attack.spec, attack.runs),
         )
-        settings = Selection(runs=RUNS, sift_runs=36, values=9)
-        search = kind(PANEL, 0, attacks, settings)
+        search = kind(PANEL, 0, attacks, attack_suite.Selection(runs=RUNS, sift_runs=36, values=9))
         axes = ("east_rate", "north_rate")
         search.context = SpooferContext(1, 0.5, 40, "rate", 1.0, 10.0, axes)
         (winners,) = play_searches(search.panel, [(0, search.winners([*limits]))])
@@ -171,7 +165,7 @@ def test_a_found_curve_is_played_beyond_its_range_while_that_is_worse(found_by, 
 
     _, found = found_by(moved, attacks=(CURVE,))
     ((_, value),) = (key for key, aims in found.items() if aims)
-    low, high = AMPLITUDE_RANGE
+    low, high = attack_suite.AMPLITUDE_RANGE
     assert (min(played) < 0.99 * low, max(played) > 1.01 * high) == (peak < low, peak > high)
     assert SMALLEST <= min(played) <= max(played) <= LARGEST
     assert value == pytest.approx(min(peak, 0.9 * LARGEST), rel=0.1)
@@ -191,10 +185,10 @@ def test_what_just_passes_an_alert_limit_is_found_between_values_of_the_grid(fou
             return {FIRST: played.setdefault((runs, spec["name"], rate), found)}
 
         scores = []
-        for kind in (Halving, WorstAttacks):
+        for kind in (Halving, attack_suite.WorstAttacks):
             search, found = found_by(moved, [limit_m], kind)
             ((attack, value),) = (key for key, aims in found.items() if aim in aims)
-            assert MEMBERS[attack].letter == "a" or kind is WorstAttacks
+            assert MEMBERS[attack].letter == "a" or kind is attack_suite.WorstAttacks
             moves = played[RUNS, MEMBERS[attack].player.spec["name"], value][search.counts]
             scores.append(aim.score_displacement(moves))
         # of the quarter that is not caught, all with the wide range, and most with the narrow one

@@ -69,8 +69,7 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
     assert caption in suite.config["notes"]
     point = suite.config["calibrations"][label][0]
     assert (point["runs"], point["rank"]) == (60, 5)
-    folder = run_campaign(suite, tmp_path / "results", threads=1)
-    assert folder.runs(label, "none").runs == 4
+    assert run_campaign(suite, tmp_path / "results", threads=1).runs(label, "none").runs == 4
 
 
 def test_killed_calibrations_and_hold_outs_go_on(tmp_path, monkeypatch):
@@ -106,8 +105,7 @@ def test_specs_say_what_is_asked_of_thresholds(monkeypatch):
     def labels(*detectors):
         return [each.label for each in small(*detectors).detector_players]
 
-    rate = {"name": "ewma", "false_alarms_per_hour": 0.5}
-    (entry,) = small(rate).detector_players
+    (entry,) = small({"name": "ewma", "false_alarms_per_hour": 0.5}).detector_players
     assert entry.label == "ewma(false_alarms_per_hour=0.5)"
     assert small(entry.spec).detector_players == (entry,)
     nominal = {"name": "ewma", "thresholds": "nominal"}

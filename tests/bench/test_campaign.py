@@ -10,12 +10,7 @@ import pytest
 from spoofgym.bench import CampaignResults, run_campaign, summarize
 from spoofgym.bench.experiments import Store, run_experiment
 from spoofgym.bench.experiments.campaign import Campaign
-from spoofgym.bench.report.campaign import (
-    INTEGRITY,
-    groups,
-    integrity_rows,
-    list_uncovered,
-)
+from spoofgym.bench.report.campaign import INTEGRITY, groups, integrity_rows, list_uncovered
 from spoofgym.bench.report.campaign_page import build_page
 from spoofgym.bench.report.page import render_page
 from spoofgym.bench.runs.panel import Panel
@@ -166,8 +161,7 @@ def test_clean_runs_of_a_detector_with_a_protection_level_make_a_stanford_diagra
     assert "protection_level" not in score_detector(other)
     for name, array in alone.records.items():
         np.testing.assert_array_equal(array, both.records[name])
-    parts = sum(both.records[f"{name}_epochs"] for name in STANFORD)
-    assert (parts == both.window).all()
+    assert (sum(both.records[f"{name}_epochs"] for name in STANFORD) == both.window).all()
     row = {**score_detector(both), "footing": "0.2"}
     level = row["protection_level"]
     assert 1.0 < level["median_m"] < 1000.0

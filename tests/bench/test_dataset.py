@@ -111,8 +111,7 @@ def test_no_family_that_tasks_hold_out_is_in_a_data_set(folder, attack, task, me
 
 
 def test_feedback_sees_its_detector_and_a_spoofer_may_be_a_file(tmp_path):
-    late = small_suite(settings=LATE)
-    write_policy(tmp_path / "late.onnx", late, "blind", (0.0, 0.02))
+    write_policy(tmp_path / "late.onnx", small_suite(settings=LATE), "blind", (0.0, 0.02))
     write_policy(tmp_path / "often.onnx", small_suite(), "blind", (0.0, 0.02))
     farthest = []
     for name, more in (
@@ -161,8 +160,7 @@ def test_what_is_no_whole_data_set_is_refused_and_that_of_other_code_is_read(fol
         load_dataset(tmp_path)
     path.write_text(json.dumps({**config, "code": {**config["code"], "numpy": "1.0"}}))
     found = load_dataset(tmp_path).config
-    other = {name: found[name] for name in ("runs", "splits")}
-    assert found == load_dataset(folder).config | other
+    assert found == load_dataset(folder).config | {name: found[name] for name in ("runs", "splits")}
     with pytest.raises(ValueError, match=r"code.numpy: '1.0', not"):
         run_experiment(mine, Store(tmp_path))
 

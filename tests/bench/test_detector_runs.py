@@ -38,8 +38,7 @@ def meaconer(east_m):
 
 def heading_rate(setup, epoch):
     """Turn of the track at an epoch, from positions alone [deg/s]."""
-    step = setup.true_position[epoch - 1 : epoch + 3]
-    moved = np.diff(step, axis=0) @ setup.C_en[epoch]
+    moved = np.diff(setup.true_position[epoch - 1 : epoch + 3], axis=0) @ setup.C_en[epoch]
     heading = np.unwrap(np.arctan2(moved[:, 1], moved[:, 0]))
     return np.degrees(np.abs(heading[-1] - heading[0])) / (2.0 * setup.interval_s)
 

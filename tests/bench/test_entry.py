@@ -20,7 +20,6 @@ SMALL = ["--runs", "6", "--selection-runs", "4", "--family", "ramps", "--threads
 def write_entry(folder, **changes):
     folder.mkdir(exist_ok=True)
     shutil.copy(detectors.__file__, folder / "mine.py")
-    content = (folder / "mine.py").read_bytes()
     entry = {
         "format": 1,
         "suite": "spoofgym-bench-v1",
@@ -29,7 +28,7 @@ def write_entry(folder, **changes):
         "name": "mine",
         "who": "A. Nyone",
         "player": "mine:AverageRate:threshold_scale=30.0",
-        "files": {"mine.py": hashlib.sha256(content).hexdigest()},
+        "files": {"mine.py": hashlib.sha256((folder / "mine.py").read_bytes()).hexdigest()},
         "figures": {"p_hmi": 0.9},
     }
     (folder / "entry.json").write_text(json.dumps({**entry, **changes}))
@@ -66,8 +65,7 @@ def test_a_good_entry_holds_and_a_false_figure_is_named(player, tmp_path):
     proud = write_entry(good, player=player, figures={**claims, "p_hmi": 0.1})
     result = call(*check(proud, "--seed", "0"))  # the same detector on the same runs
     assert result.exit_code == 1
-    last = result.stdout.splitlines()[-1]
-    assert last == "mine by A. Nyone: claims what is not found: p_hmi"
+    assert result.stdout.splitlines()[-1] == "mine by A. Nyone: claims what is not found: p_hmi"
 
 
 @pytest.mark.parametrize(
@@ -111,8 +109,7 @@ def test_figures_are_found_by_the_names_of_detectors_and_families():
     )
     claim["detectors"]["ewma"]["exceeded_m"]["0.5"] = 3.02  # rounded
     assert all(each.holds for each in compare_figures(claim, found))
-    unknown = {"value": None, "low": None, "high": None}
-    (figure,) = compare_figures({"x": 1.0}, {"x": unknown})
+    (figure,) = compare_figures({"x": 1.0}, {"x": {"value": None, "low": None, "high": None}})
     assert not figure.holds
     few = {"value": 3.0, "low": 2.0, "high": None}  # runs: nothing bounds it above
     assert [next(compare_figures({"x": x}, {"x": few})).holds for x in (1.9, 9.0)] == [False, True]

@@ -37,8 +37,7 @@ def scores():
         "loose": {**CHI2, "threshold_scale": 3.0},
         "weighing": WEIGHING,
     }
-    found = judge_of(24, 12, FAMILIES).scores([*judges.values()])
-    return dict(zip(judges, found, strict=True))
+    return dict(zip(judges, judge_of(24, 12, FAMILIES).scores([*judges.values()]), strict=True))
 
 
 def test_without_a_defence_every_attack_is_hazardous_and_look_alikes_are_false_alarms(scores):

@@ -79,8 +79,7 @@ def test_a_log_of_the_engine_gives_its_displacements_and_alarms():
     setup = TightlyCoupledSetup(
         scenario="zhong2025", detector=TESTED, attack=attack, timeline=times
     )
-    rngs = [np.random.default_rng([4, k]) for k in range(8)]
-    start = WarmStart(setup, rngs, threads=1)
+    start = WarmStart(setup, [np.random.default_rng([4, k]) for k in range(8)], threads=1)
     clean, parts = play(start, "none"), []
     for k in range(8):
         count, rng = setup.onset + setup.steps + setup.hold, np.random.default_rng([4, k])

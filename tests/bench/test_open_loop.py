@@ -144,8 +144,7 @@ def test_where_nothing_alarms_the_search_is_over_at_once():
 
 @pytest.mark.parametrize("runs", [0, 1, 3])
 def test_few_runs_that_count_are_searched_as_far_as_they_go(runs):
-    player = Quadratic(runs=runs)
-    found = OpenLoopOptimizer(player, 0.05, OpenLoopSearch(generations=2)).search()
+    found = OpenLoopOptimizer(Quadratic(runs=runs), 0.05, OpenLoopSearch(generations=2)).search()
     assert found.rates_mps.shape == (12,)
     assert np.abs(found.rates_mps).max() > 0.0
     assert (found.displacement_m > 0.0) == (runs > 1)

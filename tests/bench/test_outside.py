@@ -82,8 +82,7 @@ def test_an_edited_class_is_another_campaign_and_an_edited_policy_not_calibrated
         write(folder, text)
         digests.append(importlib.import_module("mine_a34").Calm().digest())
     assert digests[0] == digests[1] != digests[2]
-    members = {"decide": print, "__module__": "__main__"}
-    typed = dataclass(type("Typed", (DetectorPolicy,), members))
+    typed = dataclass(type("Typed", (DetectorPolicy,), {"decide": print, "__module__": "__main__"}))
     assert None in outside_sources(typed()).values()
     assert typed().digest() is None
 

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from spoofgym.bench.runs.record import (
-    MEASURES,
-    Aim,
-    Protection,
-    Winner,
-    compute_upper_quantile,
-)
+from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner, compute_upper_quantile
 from spoofgym.bench.scores.campaign import compare_controls, score_protection
 from spoofgym.bench.scores.detector import FamilyScore
 from spoofgym.bench.scores.exceeded import estimate_exceeded

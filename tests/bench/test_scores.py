@@ -8,26 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from spoofgym.bench.runs.record import (
-    compute_upper_quantile,
-    count_stanford,
-    mask_valid_runs,
-    undetected_displacement,
-)
+from spoofgym.bench.runs import record
+from spoofgym.bench.scores import statistics
 from spoofgym.bench.scores.scores import (
     by_chance,
     missed_in_time,
     score_stealth,
     survival,
     worst_skies,
-)
-from spoofgym.bench.scores.statistics import (
-    aim,
-    alarm_limit,
-    fewest_runs,
-    interval,
-    keeps,
-    most_alarms,
 )
 
 pytestmark = pytest.mark.nojit
@@ -36,8 +24,7 @@ pytestmark = pytest.mark.nojit
 def test_every_epoch_is_in_one_part_of_the_stanford_diagram():
     level = np.array([[5.0, 5.0, 5.0, 15.0, np.inf, 5.0]]).T
     error = np.array([[5.0, 9.0, 11.0, 1.0, 99.0, 1.0]]).T
-    alarm = np.array([[False] * 5 + [True]]).T
-    found = count_stanford(error, level, alarm, 10.0)
+    found = record.count_stanford(error, level, np.array([[False] * 5 + [True]]).T, 10.0)
     expected = {"nominal": 1, "misleading": 1, "hazardous": 1, "unavailable": 3}
     assert {name: n.tolist() for name, n in found.items()} == {
         f"{name}_epochs": [n] for name, n in expected.items()
@@ -48,11 +35,11 @@ def test_undetected_displacement_by_hand():
     # five epochs of errors, two epochs to alert
     error = np.array([[1.0, 3.0, 2.0, 5.0, 4.0]]).T
     first = [0, 7, 6, 5, 4, 3, 1]
-    found = [undetected_displacement(error, [alarm], 2)[0] for alarm in first]
+    found = [record.undetected_displacement(error, [alarm], 2)[0] for alarm in first]
     assert found == [5.0, 5.0, 3.0, 3.0, 1.0, 0.0, 0.0]
     # what comes after the alarm may be unknown
     error = np.array([[1.0, 2.0, np.nan, np.nan]]).T
-    assert undetected_displacement(error, [3], 1)[0] == 1.0
+    assert record.undetected_displacement(error, [3], 1)[0] == 1.0
 
 
 @given(
@@ -65,13 +52,13 @@ def test_undetected_displacement_is_what_its_definition_says(error, alarms, hold
     first = int(alarm.argmax()) + 1 if alarm.any() else 0
     # the largest error at k with no alarm in epochs 1 to k + hold
     expected = max([0.0] + [e for k, e in enumerate(error, start=1) if not alarm[: k + hold].any()])
-    assert undetected_displacement(np.array(error)[:, None], [first], hold)[0] == expected
+    assert record.undetected_displacement(np.array(error)[:, None], [first], hold)[0] == expected
 
 
 def test_a_run_counts_that_is_silent_before_the_onset_and_has_a_silent_twin():
-    found = mask_valid_runs([False, True, False, True], [0, 0, 7, 7])
+    found = record.mask_valid_runs([False, True, False, True], [0, 0, 7, 7])
     np.testing.assert_array_equal(found, [True, False, False, False])
-    np.testing.assert_array_equal(mask_valid_runs([False] * 2, [True, False]), [False, True])
+    np.testing.assert_array_equal(record.mask_valid_runs([False] * 2, [True, False]), [False, True])
 
 
 def test_stealthy_displacement_is_over_the_runs_that_count():
@@ -89,20 +76,20 @@ def test_stealthy_displacement_is_over_the_runs_that_count():
 @pytest.mark.parametrize(("alarms", "runs"), [(0, 59), (0, 1), (3, 200), (39, 1024)])
 def test_the_limit_of_an_alarm_rate_is_one_sided(alarms, runs):
     # as many alarms or fewer come by chance in one of twenty cases at the limit
-    assert binom.cdf(alarms, runs, alarm_limit(alarms, runs)) == pytest.approx(0.05)
+    assert binom.cdf(alarms, runs, statistics.alarm_limit(alarms, runs)) == pytest.approx(0.05)
 
 
 def test_what_runs_can_show_of_a_budget():
-    assert fewest_runs(0.05) == 59
-    assert keeps(0, 59, 0.05)
-    assert not keeps(0, 58, 0.05)
-    assert most_alarms(58, 0.05) == -1
-    most = most_alarms(500, 0.05)
-    assert keeps(most, 500, 0.05)
-    assert not keeps(most + 1, 500, 0.05)
-    assert aim(500, 0.05) == most / 500
-    assert aim(10, 0.05) == pytest.approx(0.01)  # never far below
-    assert alarm_limit(4, 4) == 1.0
+    assert statistics.fewest_runs(0.05) == 59
+    assert statistics.keeps(0, 59, 0.05)
+    assert not statistics.keeps(0, 58, 0.05)
+    assert statistics.most_alarms(58, 0.05) == -1
+    most = statistics.most_alarms(500, 0.05)
+    assert statistics.keeps(most, 500, 0.05)
+    assert not statistics.keeps(most + 1, 500, 0.05)
+    assert statistics.aim(500, 0.05) == most / 500
+    assert statistics.aim(10, 0.05) == pytest.approx(0.01)  # never far below
+    assert statistics.alarm_limit(4, 4) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -110,7 +97,7 @@ def test_what_runs_can_show_of_a_budget():
 )
 def test_the_displacement_that_is_reached_in_a_share_of_the_runs(share, expected):
     x = [2.0, 4.0, 1.0, 3.0]
-    assert compute_upper_quantile(x, share) == expected
+    assert record.compute_upper_quantile(x, share) == expected
     assert np.mean(np.array(x) >= expected) >= share
     assert np.mean(np.array(x) > expected) < share
 
@@ -157,4 +144,7 @@ def test_kaplan_meier_by_hand():
     ],
 )
 def test_numbers_with_intervals(numbers, digits, text):
-    assert interval(dict(zip(("value", "low", "high"), numbers, strict=True)), digits) == text
+    assert (
+        statistics.interval(dict(zip(("value", "low", "high"), numbers, strict=True)), digits)
+        == text
+    )

@@ -52,8 +52,7 @@ def test_a_spoofer_meets_the_detectors_of_the_suite_beside_the_usual_attacks(tmp
     assert 0.0 < found["floor_m"]["half"]["value"] < found["floor_m"]["few"]["value"]
     cells = CampaignResults.load(tmp_path / "small-ramp-tuned")
     monkeypatch.setattr("spoofgym.bench.experiments.campaign.Panel", None)  # nothing plays again
-    result = call(*words(tmp_path, "--spoofer", "ramp"))
-    lines = result.stdout.splitlines()
+    lines = call(*words(tmp_path, "--spoofer", "ramp")).stdout.splitlines()
     assert lines[-1] == found["answer"]
     assert lines[-2] == f"Report: {cells.path / 'report.html'}"
     assert max(map(len, lines[:-2])) <= 100

@@ -151,14 +151,12 @@ def test_a_spoofer_without_a_tuned_setting_is_refused():
 def test_why_a_value_is_over_the_budget_can_be_read():
     kept = Trial(0.2, 400, 390, 0.02, 0.04, 30.0, True)
     sifted = Trial(0.3, 32, 30, 0.035, 0.12, 36.0, True)  # a few runs sift by the rate
-    over = Trial(0.3, 400, 390, 0.035, 0.055, 40.0, False)
-    trials = kept, sifted, over
+    trials = kept, sifted, Trial(0.3, 400, 390, 0.035, 0.055, 40.0, False)
     found = TuningResult("ewma", "ramp", "rate_mps", 0.2, True, 0.05, 400, 390, 0.02, 2, trials)
     search = found.as_dict()
     table = tuning_table(search)
     names = ("rate_mps", "P(alarm | silent twin) [%]", "its upper limit [%]", "within budget")
-    rows = [tuple(table[name].text(trial) for name in names) for trial in search["trials"]]
-    assert rows == [
+    assert [tuple(table[name].text(trial) for name in names) for trial in search["trials"]] == [
         ("0.2 (chosen)", "2.0", "4.0", "yes"),
         ("0.3", "3.5", "12.0", "yes"),
         ("0.3", "3.5", "5.5", "no"),

@@ -40,8 +40,7 @@ def test_an_interval_of_order_statistics_covers_the_quantile_and_no_narrower_one
 
 def test_the_threshold_does_not_depend_on_the_batch_and_few_runs_tell_no_upper_end():
     first = duel_v0.calibrate_policy(wary, **SETTINGS)
-    again = duel_v0.calibrate_policy(wary, **{**SETTINGS, "receivers": 17})
-    assert first == again
+    assert first == duel_v0.calibrate_policy(wary, **{**SETTINGS, "receivers": 17})
     low, high = first.interval(0.1)
     assert low < threshold_of(first) < high
     late = duel_v0.calibrate_policy(wary, **SETTINGS, decision_delay=1)
@@ -58,8 +57,7 @@ def test_clean_runs_are_those_of_the_duel(delay):
     duel.threshold = FixedThreshold(np.inf, 6)
     policy = duel_v0.FunctionPolicy(wary)
     setup, agent = duel.setup, duel.agent
-    names = agent.observer.names
-    policy.bind(PolicyContext(6, 0.5, names, (), (), agent.action_names))
+    policy.bind(PolicyContext(6, 0.5, agent.observer.names, (), (), agent.action_names))
     duel.reset(make_generators(seeds_of_runs(0, "calibration", setup.name, range(6))))
     largest, idle = np.zeros(6), np.zeros((6, 2))
     for _ in range(duel.epochs):

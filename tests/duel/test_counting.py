@@ -49,8 +49,7 @@ def find_detected(statistic, onset, attacked):
     `FALSE_ALARM` of the clean runs exceeds, at any time."""
     clean = np.sort(statistic[:, ~attacked].max(axis=0))[::-1]
     alarm = statistic > clean[int(FALSE_ALARM * len(clean))]
-    first = np.where(alarm.any(axis=0), alarm.argmax(axis=0), -1)
-    return (first >= onset)[attacked]
+    return (np.where(alarm.any(axis=0), alarm.argmax(axis=0), -1) >= onset)[attacked]
 
 
 @pytest.mark.parametrize(("age_s", "gains"), [(USUAL_S, True), (None, False)])
@@ -59,8 +58,7 @@ def test_a_detector_that_counts_gains_only_where_the_onset_is_always_the_same(ag
     statistic, onset, attacked = play(None if age_s is None else {"age_s": age_s})
     assert (np.ptp(onset) == 0) == gains
     epochs = np.arange(len(statistic))[:, None] / EPOCHS_PER_S + LINE["warmup_s"] - LINE["live_s"]
-    usual = (epochs >= USUAL_S) & (epochs < USUAL_S + WINDOW_S)
-    counting = np.where(usual, statistic, 0.0)
+    counting = np.where((epochs >= USUAL_S) & (epochs < USUAL_S + WINDOW_S), statistic, 0.0)
     found, plain = (find_detected(each, onset, attacked) for each in (counting, statistic))
     difference = found.astype(np.float64) - plain
     error = difference.std() / np.sqrt(len(difference))

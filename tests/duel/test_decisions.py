@@ -36,15 +36,13 @@ def test_in_the_aec_form_the_detector_has_the_turns_between(between):
     before, given = np.zeros(2), []  # the command of every epoch
     for decision in DECISIONS:
         for part in (1 / 3, 2 / 3, 1.0):
-            on_the_way = before + part * (decision - before)
-            given.append(decision if between == "hold" else on_the_way)
+            given.append(decision if between == "hold" else before + part * (decision - before))
         before = decision
     turns, own, paid, last = aec_epochs(
         aec(**SLOW, between=between), 4, lambda epoch: DECISIONS[epoch // EVERY], trusting
     )
     _, expected, each, same = aec_epochs(aec(**QUICK), 4, lambda epoch: given[epoch], trusting)
-    cycle = ["spoofer_0", *["detector_0"] * EVERY]
-    assert turns == (cycle * (len(DECISIONS)))[: len(turns)]
+    assert turns == (["spoofer_0", *["detector_0"] * EVERY] * (len(DECISIONS)))[: len(turns)]
     assert turns.count("detector_0") == EPOCHS + HOLD
     if between == "hold":
         np.testing.assert_array_equal(own, expected)

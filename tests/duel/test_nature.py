@@ -89,8 +89,7 @@ def test_the_detector_is_not_told_of_an_attack_and_observes_no_truth():
 
 @pytest.mark.parametrize(("payoff", "late"), [("neyman-pearson", 0.0), ("weighted", 0.05)])
 def test_the_return_is_the_undetected_displacement(payoff, late):
-    env = parallel(attack_probability=1.0, payoff=payoff, threshold=1.0)
-    trace = run(env, 2)
+    trace = run(parallel(attack_probability=1.0, payoff=payoff, threshold=1.0), 2)
     paid = sum(rewards["spoofer_0"] for _, rewards, _ in trace)
     assert paid == -sum(rewards["detector_0"] for _, rewards, _ in trace)
     induced = trace[-1][2]["spoofer_0"]["undetected_displacement_m"]

@@ -61,16 +61,14 @@ def test_a_file_is_calibrated_by_the_mechanism_of_all_detectors(file, tmp_path, 
     judge = make_opponent(asked, setup.live)
     (found,) = calibrate_detectors(setup, judge, runs=40, false_alarms_per_hour=20.0)
     check(setup, [found], judge)
-    view = duel_v0.SpooferView(asked, **BRIEF)
-    (member,) = view.core.setup.detector.judges
+    (member,) = duel_v0.SpooferView(asked, **BRIEF).core.setup.detector.judges
     assert (member.scale, member.detector.quiet_epochs) == (found.point(20.0).scale, setup.live)
-    own = duel_v0.calibrate_policy(
+    assert duel_v0.calibrate_policy(
         duel_v0.OnnxDetector(file),
         **BRIEF,
         runs=40,
         false_alarm=run_probability(20.0, setup.window_s),
-    )
-    assert own.point(20.0).scale == pytest.approx(member.scale, rel=1e-10)
+    ).point(20.0).scale == pytest.approx(member.scale, rel=1e-10)
 
 
 def test_what_does_not_fit_is_refused_by_name(file):

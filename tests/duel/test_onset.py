@@ -71,16 +71,14 @@ def test_from_the_onset_on_it_is_the_game_whose_reset_ends_there(attack, delay):
 
 def test_nothing_but_measurements_depends_on_the_onset_before_the_end():
     envs = vector(**WITHIN)
-    longest = envs.core.episode_steps
-    *_, ends, infos = play(envs, longest)
+    *_, ends, infos = play(envs, envs.core.episode_steps)
     simulator = envs.core.duel.core.engine.simulator
     reset, first, *_ = infos
     assert reset["time_s"].tolist() == [10.5] * 5  # detectors go live after 10 s
     assert len(np.unique(simulator.onset)) > 1
     hidden = ("attacked", "undetected_displacement_m")
     for now, over in zip(infos[1:], ends, strict=True):
-        running = ~over
-        assert all(not now[name][running].any() for name in hidden)
+        assert all(not now[name][~over].any() for name in hidden)
         if over.any():
             break
         for name in first:

@@ -9,7 +9,7 @@ from spoofgym import duel_v0
 from spoofgym.bench.experiments import game as population
 from spoofgym.bench.experiments.game import Game
 from spoofgym.bench.experiments.runner import Context
-from spoofgym.bench.report.cards import find_card
+from spoofgym.bench.report.catalogue import find_card
 from spoofgym.bench.runs.play import play
 from spoofgym.bench.runs.players import make_player, mixture
 from spoofgym.bench.runs.record import compute_displacement, mask_valid_runs
@@ -261,8 +261,7 @@ def test_bad_games_are_refused(settings, words):
 
 
 def test_a_detector_that_leaves_no_run_has_no_payoff():
-    always = {"name": "snapshot-chi2", "threshold_scale": 1e-9}
-    matrix = game().matrix([RAMP], [CHI2, always])
+    matrix = game().matrix([RAMP], [CHI2, {"name": "snapshot-chi2", "threshold_scale": 1e-9}])
     assert np.isnan(matrix.values).tolist() == [[False, True]]
     with pytest.raises(ValueError, match=r"ramp\(rate_mps=0.2\) against snapshot-chi2.*no payoff"):
         matrix.solve()

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import betabinom
 
 from spoofgym.bench.report.results import print_hold_outs
-from spoofgym.bench.runs.world import VICTIMS
+from spoofgym.bench.runs.world import DEFAULTS
 from spoofgym.calibration import thresholds as calibration
 from spoofgym.calibration.clean_runs import Player
 from spoofgym.calibration.holdouts import HoldOut, check, hold_out, transfer
@@ -17,6 +17,7 @@ from spoofgym.detectors import Calibrated, Cusum, Ewma, make_detector
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE, TOLERANCE, hourly_rate
 from spoofgym.envs import SpoofEnv, SpoofVectorEnv
 from spoofgym.envs.factory import make_setup
+from spoofgym.envs.spoofer_binding import SETUPS
 from spoofgym.simulation import Engine, SnapshotSetup, TightlyCoupledSetup
 from spoofgym.simulation.simulator import run_serially, weighs
 
@@ -344,12 +345,12 @@ def test_a_smaller_victim_is_calibrated_by_the_same_call():
     check(setup, found, specs)
 
 
-@pytest.mark.parametrize("name", sorted(VICTIMS))
+@pytest.mark.parametrize("name", sorted(SETUPS))
 def test_every_suitable_detector_fits(name):
-    setup = make_setup(VICTIMS[name].setup, {"detector": "never"})
+    setup = make_setup(SETUPS[name], {"detector": "never"})
     found = suitable_detectors(setup)
     assert len(found) > 1
     for detector in found:
         setup.copy_with(detector=detector).simulator(1, run_serially)
     names = {type(each) for each in found}
-    assert {type(make_detector(spec)) for spec in VICTIMS[name].detectors} <= names
+    assert {type(make_detector(spec)) for spec in DEFAULTS[SETUPS[name]]} <= names

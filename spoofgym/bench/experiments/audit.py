@@ -30,10 +30,8 @@ OVERHEAD = 4.0
 
 
 class Auditor(AuditPlan):
-    """Audits detectors of one task; those that only look share their passes.
-
-    Its arguments are those of `AuditPlan`.
-    """
+    """Audits detectors of one task; those that only look share their passes. Arguments: of
+    `AuditPlan`."""
 
     def scores(
         self, detectors: Iterable[Any], *, show: ProgressBar | None = None

@@ -11,34 +11,20 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
+from ... import tasks
 from ...core.children import release_free_memory
 from ...core.files import check_writable, write_file
 from ...core.registry import check_choice, slug, whole_number
 from ...core.settings import compute_digest, describe, outside_sources
 from ...detectors import detector_in_world
 from ...detectors.calibrated import find_requested_rate, list_factors
-from ...tasks import (
-    ANTENNA_PARTS,
-    DETECTOR_TASKS,
-    EVENTS,
-    AttackFamily,
-    DetectorTask,
-    get_detector_task,
-)
 from ..runs.panel import play_searches
 from ..runs.players import add_tuned_setting, specify_spoofer
 from ..runs.record import Protection, Winner
 from ..scores.audit import TRANSFER, AgeProbe, Audit
 from ..scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
+from ..search import attack_suite
 from ..search.amplitude import with_rates
-from ..search.attack_suite import (
-    ROUNDS,
-    FamilyAttacks,
-    Selection,
-    SuiteAttack,
-    expected_plays,
-    play_winners,
-)
 from ..search.bounds import DisplacementBounds
 from ..search.open_loop import AIMS, OpenLoopSearch
 from .audit_worlds import (
@@ -89,7 +75,7 @@ class AuditPlan:
 
     def __init__(
         self,
-        task: str | DetectorTask = "D1",
+        task: str | tasks.DetectorTask = "D1",
         budget: str = "standard",
         *,
         runs: int | None = None,
@@ -99,13 +85,13 @@ class AuditPlan:
         threads: int | None = None,
         folder: str | os.PathLike[str] | None = None,
     ) -> None:
-        self.task = get_detector_task(task) if isinstance(task, str) else task
+        self.task = tasks.get_detector_task(task) if isinstance(task, str) else task
         check_choice("budget", budget, BUDGETS)
         self.budget, self.size = budget, BUDGETS[budget]
         self.runs = whole_number("`runs`", self.size.runs if runs is None else runs, 2)
         few = self.size.selection_runs if selection_runs is None else selection_runs
         few = whole_number("`selection_runs`", few, 4)
-        self.selection = Selection(runs=few, sift_runs=max(few // SIFTED, 1))
+        self.selection = attack_suite.Selection(runs=few, sift_runs=max(few // SIFTED, 1))
         keys = [each.key for each in self.task.families] if families is None else list(families)
         if not keys:
             raise ValueError("`families` must name at least one family of attacks, got none")
@@ -121,11 +107,9 @@ class AuditPlan:
 
 @dataclass(frozen=True)
 class AuditCells(Experiment):
-    """Worst attacks of every family on every detector, its false alarms, what it finds at several
-    ages, and the floor. `scores_only`: without the last two.
-
-    Detectors that only look share the passes of a family.
-    """
+    """Worst attacks of every family on detectors, which share passes where they only look, their
+    false alarms, what they find at several ages, and the floor. `scores_only`: without the last
+    two."""
 
     name: ClassVar[str] = "audit"
     of: AuditPlan
@@ -142,16 +126,16 @@ class AuditCells(Experiment):
     @cached_property
     def card(self) -> dict[str, Any]:
         """What is stored of the task for spoofers that has the same world."""
-        known = self.of.task.key in DETECTOR_TASKS
+        known = self.of.task.key in tasks.DETECTOR_TASKS
         return stored_cards().get(self.of.task.task.key, {}) if known else {}
 
     @cached_property
-    def parts(self) -> dict[str, tuple[Cell, AttackFamily | str, ScoredDetector]]:
+    def parts(self) -> dict[str, tuple[Cell, tasks.AttackFamily | str, ScoredDetector]]:
         """Cells by key, each with its family, or what it is in place of one, and its defence."""
         found, passive = {}, sum(each.passive for each in self.detectors)
         for part in (*self.of.families, FALSE_ALARMS, *(() if self.scores_only else (AGES,))):
             shared = part != AGES
-            if isinstance(part, AttackFamily):
+            if isinstance(part, tasks.AttackFamily):
                 shared = part.onset != NEAR_ALARM
             name = part if isinstance(part, str) else part.key
             for each in self.detectors:
@@ -162,7 +146,7 @@ class AuditCells(Experiment):
                 key, identity = self._identity(name, part, each)
                 plays = self._expect_plays(part, each)
                 found[key] = Cell(key, identity, plays, group=group), part, each
-        if not any(isinstance(part, AttackFamily) for _, part, _ in found.values()):
+        if not any(isinstance(part, tasks.AttackFamily) for _, part, _ in found.values()):
             label = self.detectors[0].player.label
             raise ValueError(f"no shipped spoofer was made for {label} and fits {self.of.task.key}")
         worlds = self.of.size.floor_worlds
@@ -173,20 +157,23 @@ class AuditCells(Experiment):
             found[key] = Cell(key, named, work, group=FLOOR), FLOOR, self.detectors[0]
         return found
 
-    def _list_attacks(self, part: AttackFamily, defence: ScoredDetector) -> tuple[SuiteAttack, ...]:
+    def _list_attacks(
+        self, part: tasks.AttackFamily, defence: ScoredDetector
+    ) -> tuple[attack_suite.SuiteAttack, ...]:
         return self.of.worlds.list_attacks(part, defence.player)
 
-    def _expect_plays(self, part: AttackFamily | str, defence: ScoredDetector) -> float:
+    def _expect_plays(self, part: tasks.AttackFamily | str, defence: ScoredDetector) -> float:
         size, runs = self.of.size, float(self.of.runs)
         if part == AGES:
             return float(size.twins * size.ages * (len(RAMPS) + 1))
         if isinstance(part, str):
-            return runs * (1 + len(EVENTS))
+            return runs * (1 + len(tasks.EVENTS))
         members = len(self._list_attacks(part, defence))
         if SEARCHED in part.letters:
             members += len(AIMS) + len(self.card.get("optima_mps", {}))
-        plays = expected_plays(members, self.of.selection, self.of.runs, ROUNDS)
-        return plays + self.search_plays * (SEARCHED in part.letters)
+        return attack_suite.expected_plays(
+            members, self.of.selection, self.of.runs, attack_suite.ROUNDS
+        ) + self.search_plays * (SEARCHED in part.letters)
 
     @property
     def search_plays(self) -> float:
@@ -198,7 +185,7 @@ class AuditCells(Experiment):
         return find_requested_rate(detector_in_world(self.detectors[0].player.fixed_spec))
 
     def _identity(
-        self, name: str, part: AttackFamily | str, defence: ScoredDetector
+        self, name: str, part: tasks.AttackFamily | str, defence: ScoredDetector
     ) -> tuple[str, dict[str, Any] | None]:
         """Key of a cell, and all that it depends on; None where no text says that."""
         key, outside = f"{name} {defence.player.label}", outside_sources(defence.judge)
@@ -213,7 +200,7 @@ class AuditCells(Experiment):
         }
         if part == AGES:
             named["runs"] = [self.of.size.twins, self.of.size.ages, self.of.entropy]
-        elif isinstance(part, AttackFamily) and SEARCHED in part.letters:
+        elif isinstance(part, tasks.AttackFamily) and SEARCHED in part.letters:
             named["search"] = asdict(self.of.size.search)
         elif part == TRAINED:
             named["spoofers"] = [each.player.spec for each in self._list_attacks(TRAINED, defence)]
@@ -230,29 +217,31 @@ class AuditCells(Experiment):
         worlds, size = self.of.worlds, self.of.size
         worlds.threads = context.threads
         release_free_memory()
-        if isinstance(part, AttackFamily):
+        if isinstance(part, tasks.AttackFamily):
             yield from self._play_family(part, group, context)
         elif part == FALSE_ALARMS:
             yield from self._false_alarms(group)
         elif part == AGES:
             for each in group:
-                probe = worlds.probe_ages(each.judge, size.twins, size.ages)
-                yield Result(probe._asdict())
+                yield Result(worlds.probe_ages(each.judge, size.twins, size.ages)._asdict())
         else:
             few, entropy = size.floor_worlds, self.of.entropy
             bounds = DisplacementBounds(worlds.world, [group[0].player], entropy, floor_worlds=few)
             yield Result(record=bounds.compute_lower_limit())
 
     def _play_family(
-        self, family: AttackFamily, group: Sequence[ScoredDetector], context: Context
+        self, family: tasks.AttackFamily, group: Sequence[ScoredDetector], context: Context
     ) -> Iterator[Result]:
         worlds = self.of.worlds
         where = {"onset": family.onset, **self.of.task.get_overrides(family)}
         own = [self._list_attacks(family, each) for each in group]
         heads: list[dict[str, Any]] = [{"detector": each.player.label} for each in group]
-        transfers: tuple[SuiteAttack, ...] = ()
+        transfers: tuple[attack_suite.SuiteAttack, ...] = ()
         if SEARCHED in family.letters:
-            share, transfers = self.search_plays / len(group), self._list_transfers()
+            share, stored = self.search_plays / len(group), self.card.get("optima_mps", {})
+            spoofer = specify_spoofer(add_tuned_setting({"name": "open-loop"}))
+            found_elsewhere = (with_rates(spoofer, rates) for rates in stored.values())
+            transfers = tuple(attack_suite.SuiteAttack(TRANSFER, each) for each in found_elsewhere)
             tick = lambda part: context.tick(share * part)  # noqa: E731
             for k, each in enumerate(group):
                 curves, bound = worlds.search_open_loop(each, self.of.size.search, tick)
@@ -263,41 +252,34 @@ class AuditCells(Experiment):
             winners = [(*mine, *theirs) for mine, theirs in zip(winners, others, strict=True)]
         panel = worlds.panel(group, "evaluation", self.of.runs, **where)
         for k, (head, worst) in enumerate(zip(heads, winners, strict=True)):
-            found = Protection(head, worst, panel.counts[:, k], panel.sky, None)
-            yield Result(*found.parts())
+            yield Result(*Protection(head, worst, panel.counts[:, k], panel.sky, None).parts())
 
     def _find_worst(
         self,
         where: Mapping[str, Any],
         group: Sequence[ScoredDetector],
-        own: Sequence[tuple[SuiteAttack, ...]],
+        own: Sequence[tuple[attack_suite.SuiteAttack, ...]],
         context: Context,
     ) -> list[tuple[Winner, ...]]:
         """The worst of each detector's attacks, chosen on the selection, on the evaluation runs."""
         worlds, limit, settings = self.of.worlds, self.of.task.alert_limit_m, self.of.selection
         panel = worlds.panel(group, "selection", settings.runs, **where)
-        antenna = ANTENNA_PARTS[0] * limit, ANTENNA_PARTS[1] * limit
+        antenna = tasks.ANTENNA_PARTS[0] * limit, tasks.ANTENNA_PARTS[1] * limit
         searches = [
-            FamilyAttacks(panel, k, attacks, settings, antenna_m=antenna)
+            attack_suite.FamilyAttacks(panel, k, attacks, settings, antenna_m=antenna)
             for k, attacks in enumerate(own)
         ]
         requests = [(each.number, each.winners([limit])) for each in searches]
         chosen = list(zip(searches, play_searches(panel, requests, context.tick), strict=True))
         panel = worlds.panel(group, "evaluation", self.of.runs, **where)
-        return play_winners(panel, chosen, context.tick)
-
-    def _list_transfers(self) -> tuple[SuiteAttack, ...]:
-        """Profiles that are stored as found against other detectors in the task's world."""
-        spoofer = specify_spoofer(add_tuned_setting({"name": "open-loop"}))
-        stored = self.card.get("optima_mps", {}).values()
-        return tuple(SuiteAttack(TRANSFER, with_rates(spoofer, rates)) for rates in stored)
+        return attack_suite.play_winners(panel, chosen, context.tick)
 
     def _false_alarms(self, group: Sequence[ScoredDetector]) -> Iterator[Result]:
         """Alarms of detectors in runs without an attack, with an event and without."""
         worlds, runs = self.of.worlds, (group, "evaluation", self.of.runs)
         clean = worlds.panel(*runs)
         alarms = {WINDOW: clean.twin_alarm > 0, CLEAN: clean.warmup_alarm | (clean.twin_alarm > 0)}
-        for event in EVENTS:  # all runs have it; their noise is the same
+        for event in tasks.EVENTS:  # all runs have it; their noise is the same
             domain = {**self.of.task.world_kwargs["domain"], "events": {event: 1.0}}
             panel = worlds.panel(*runs, domain=domain)
             alarms[event] = panel.warmup_alarm | (panel.twin_alarm > 0)
@@ -312,7 +294,7 @@ class AuditCells(Experiment):
             label = defence.player.label
             if part == FALSE_ALARMS:
                 alarms[label] = dict(results[key].arrays)
-            elif isinstance(part, AttackFamily):
+            elif isinstance(part, tasks.AttackFamily):
                 found = results[key]
                 worst = Protection.from_parts(found.arrays, found.record)
                 families[label].append(FamilyScore(part.key, part.held_out, limit, worst))

@@ -45,13 +45,9 @@ from .training_attacks import QUIET_TASKS
 
 
 class AuditBudget(NamedTuple):
-    """Size of an audit.
-
-    - `runs`: evaluation runs of every family; `selection_runs`: those that its attacks are chosen
-      on; `search`: of profiles against the detector;
-    - `twins`: runs of every age; `ages`: how many of `AGES_S`;
-    - `floor_worlds`: worlds of the floor where none is stored, None for all, 0 for no floor.
-    """
+    """Size of an audit: evaluation `runs` of every family, and those that its attacks are chosen
+    on; the `search` of profiles; runs of every age (`twins`), and how many of `AGES_S`; worlds of
+    the floor where none is stored, None for all, 0 for no floor."""
 
     runs: int
     selection_runs: int
@@ -108,11 +104,8 @@ def find_trained_holdout(judge: Detector, task: DetectorTask) -> str | None:
 
 
 def check_contract(detector: Any, say: Callable[[str], None]) -> Any:
-    """A detector to audit: a foreign one that is given as text in a process of its own.
-
-    What no run can do without, such as the shape of a verdict, is checked at once, unless it is one
-    of the package's own; of other promises that it breaks `say` is given the first.
-    """
+    """A detector to audit: a foreign one that is given as text in a process of its own. What no run
+    can do without is checked at once; of other promises that it breaks `say` is given the first."""
     from ...testing.detector import check_detector, check_verdicts
 
     given = isolate(detector) if isinstance(detector, str | Mapping) else detector

@@ -80,13 +80,9 @@ class AttackBudget:
 
 
 class BestResponse(NamedTuple):
-    """A best response that was found.
-
-    - `member`: the player, and what decided on it; `value`: payoff on the runs of the selection;
-    - `best`: payoff of the best of every family on the first of these runs, by name; `by_family`:
-      the best players themselves;
-    - `notes`: what the search left out.
-    """
+    """A best response that was found: the player, with what decided on it; its payoff on the runs
+    of the selection; the `best` payoff of every family on the first of these, and its player; and
+    `notes` on what the search left out."""
 
     member: PlayerSpec
     value: float
@@ -196,8 +192,7 @@ def best_detector(
     Response
         One of them, as it was; nothing but its name has been decided on these runs.
     """
-    matrix = game.on(SELECTION, runs, entropy).matrix([mix], detectors, oracles=True)
-    values = matrix.values[0]
+    values = game.on(SELECTION, runs, entropy).matrix([mix], detectors, oracles=True).values[0]
     k = int(np.nanargmin(values))
     best = {each.label: float(x) for each, x in zip(detectors, values, strict=True)}
     by_family = {each.label: each for each in detectors}
@@ -242,8 +237,7 @@ def _curves(
     curves = []
     for share in SHARES:
         game.progress.advance(0.0, f"optimized open-loop attack, {100 * share:g} % alarms")
-        found = OpenLoopOptimizer(backend, share, budget.blind).search(starts)
-        curves.append(found.rates_mps)
+        curves.append(OpenLoopOptimizer(backend, share, budget.blind).search(starts).rates_mps)
     return curves, tuple(notes)
 
 
@@ -257,12 +251,9 @@ def _get_curve_rates(member: PlayerSpec) -> FloatArray | None:
 
 
 class DeviationGain(NamedTuple):
-    """What one side gains by leaving a pair of mixes.
-
-    - `below`: gain of the response that was found, on fresh runs, with its 95 % interval; negative
-      where the mix of the own side is better; `member`: label of that response;
-    - `above`: largest gain of any response; None where no bound is known, and `why`.
-    """
+    """What one side gains by leaving a pair of mixes: `below`, by the response `member` on fresh
+    runs, negative where the own mix is better; `above`, by any, None where no bound is known, and
+    `why`."""
 
     below: Estimate
     member: str
@@ -274,11 +265,8 @@ class DeviationGain(NamedTuple):
 
 
 class Exploitability(NamedTuple):
-    """How far a pair of mixes can be exploited.
-
-    - `value`: payoff of the pair on fresh runs; `spoofer`, `detector`: gains of either side;
-    - `below`: both gains together, which is 0 in an equilibrium, and at least 0 in truth.
-    """
+    """How far a pair of mixes can be exploited: its payoff on fresh runs, the gains of either side,
+    and `below`, both together: 0 in an equilibrium, and at least 0 in truth."""
 
     value: Estimate
     spoofer: DeviationGain
@@ -286,8 +274,7 @@ class Exploitability(NamedTuple):
     below: Estimate
 
     def as_json(self) -> dict[str, Any]:
-        ends = {name: getattr(self, name).as_json() for name in self._fields}
-        return ends
+        return {name: getattr(self, name).as_json() for name in self._fields}
 
 
 def exploitability(

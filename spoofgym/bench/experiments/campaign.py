@@ -25,24 +25,11 @@ from ...simulation.simulator import weighs
 from ..runs.panel import Panel, PanelAttack, play_searches
 from ..runs.players import PlayerSpec, describe_knowledge
 from ..runs.record import MEASURES, Protection, RunRecord, record_runs
+from ..scores import campaign as scoring
 from ..scores.at_budget import exceed_at_budget, score_best
-from ..scores.campaign import (
-    compare_controls,
-    compute_bounds,
-    operating_point,
-    score_detector,
-    score_protection,
-    score_runs,
-)
 from ..scores.scores import SHARES
 from ..search.amplitude import TuningResult, search_work, with_rates
-from ..search.attack_suite import (
-    BESIDE,
-    SuiteAttack,
-    WorstAttacks,
-    expected_plays,
-    play_winners,
-)
+from ..search.attack_suite import BESIDE, SuiteAttack, WorstAttacks, expected_plays, play_winners
 from ..search.open_loop import Optima, fit
 from .runner import Context, Experiment, run_experiment
 from .store import OUTPUTS, Cell, Reader, Result, Store
@@ -160,14 +147,14 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
     records = {pair: found for pair in pairs if (found := results.runs(*pair)) is not None}
     known = [worst for each in detectors if (worst := results.protection(each)) is not None]
     limits = sorted({*config["alert_limits_m"], config["alert_limit_m"]})
-    points = {label: operating_point(config, label) for label in detectors}
+    points = {label: scoring.operating_point(config, label) for label in detectors}
     budget = float(config["tuning"]["budget"])
     searches = results.searches
     scores = [
-        with_exact_score(score_runs(found, limits, budget), searches.get(pair))
+        with_exact_score(scoring.score_runs(found, limits, budget), searches.get(pair))
         for pair, found in records.items()
     ]
-    protected = [score_protection(found, limits) for found in known]
+    protected = [scoring.score_protection(found, limits) for found in known]
     tuned = [search.as_dict() for search in searches.values()]
     bounds = {each: bound for each in detectors if (bound := results.limits(each)) is not None}
     bracket = {"floor": results.limits(), "zero_alarm": bounds}
@@ -176,7 +163,7 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
         point = {"detector": label, **points[label]}
         own = [[row for row in rows if row["detector"] == label] for rows in (scores, tuned)]
         worst = next((row for row in protected if row["detector"] == label), None)
-        return compute_bounds(point, bracket, own[0], worst, own[1])
+        return scoring.compute_bounds(point, bracket, own[0], worst, own[1])
 
     missing = [f"{detector} / {spoofer}" for detector, spoofer in pairs]
     if config["attack_suite"] is not None:
@@ -194,7 +181,7 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
         "attack_suite": config["attack_suite"],
         "detectors": [
             {
-                **score_detector(records[label, "none"]),
+                **scoring.score_detector(records[label, "none"]),
                 **points[label],
                 "bracket": score_bounds(label),
                 **score_strongest([searches[pair] for pair in pairs if pair in searches], label),
@@ -204,7 +191,7 @@ def summarize(results: CampaignResults) -> dict[str, Any]:
         ],
         "cells": scores,
         "protection": protected,
-        "comparisons": compare_controls(
+        "comparisons": scoring.compare_controls(
             list(records.values()), known, {k: p["footing"] for k, p in points.items()}
         ),
         "limits": bracket,

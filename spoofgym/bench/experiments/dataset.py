@@ -154,8 +154,7 @@ class Plan(Experiment):
         help="Rates of optimized open-loop attacks at their knots; none leaves that family out.",
     )
     spoofers: Sequence[Spec] = setting(
-        default=(),
-        help='Further spoofers by name and settings, such as ``{"name": "mine.onnx"}``.',
+        default=(), help='Further spoofers by name and settings, such as ``{"name": "mine.onnx"}``.'
     )
     runs: Mapping[str, int] = setting(
         default_factory=lambda: dict(RUNS),
@@ -267,11 +266,8 @@ class Plan(Experiment):
         observers: dict[Any, Observer] | None = None,
         stopped: threading.Event | None = None,
     ) -> Episodes:
-        """Play some runs of a split, attacked and not: two episodes each, the clean one first.
-
-        `observers`: what spoofers observe by, reused from call to call; `stopped`: set where
-        another thread has failed.
-        """
+        """Play runs of a split, attacked and not: two episodes each, the clean one first.
+        `observers`: reused from call to call; `stopped`: set where another thread has failed."""
         setup, runs = self.world, len(numbers)
         seeds = seeds_of_runs(self.entropy, PARTS[part], setup.name, numbers)
         own = [

@@ -35,14 +35,9 @@ def list_player_files(player: str) -> set[str]:
 
 
 class Entry(Record):
-    """What an entry says of itself.
-
-    - `suite`, `task`: by which it was audited;
-    - `name`, `who`: of the player, and who has made it;
-    - `player`: as `spoofgym audit` takes it in the entry's folder;
-    - `files`: SHA-256 of each, by its name in the folder;
-    - `figures`: those of `spoofgym audit --json` that it claims, each by its value alone.
-    """
+    """What an entry says of itself: who has made a `player`, as `spoofgym audit` takes it in the
+    folder, the SHA-256 of its `files`, and the `figures` of ``--json`` that it claims, by value
+    alone."""
 
     format: Literal[1]
     suite: str

@@ -14,16 +14,9 @@ from ..runs.panel import Panel, PanelAttack
 from ..runs.players import FITTED, PlayerSpec, refuse_oracles, specify_detector, specify_policy
 from ..runs.record import MEASURES
 from ..runs.world import WORLD, World, read_training_world
+from ..scores import statistics
 from ..scores.scores import score_stealth, select_clusters
 from ..scores.spoofer import SpooferScore
-from ..scores.statistics import (
-    BUDGET,
-    Estimate,
-    bootstrap_mean,
-    draw_resamples,
-    fewest_runs,
-    wilson,
-)
 from ..search.amplitude import EXACT, UPPER_LIMIT, Tuning, TuningResult, with_rates
 from ..search.bounds import DisplacementBounds
 from ..search.open_loop import Optima, fit
@@ -74,7 +67,7 @@ class Evaluator:
         self.world = World.of(task, **world)
         self.detector = specify_detector(self.world.detector if detector is None else detector)
         refuse_oracles((self.detector,))
-        fit_runs = whole_number("`fit_runs`", fit_runs, fewest_runs(BUDGET))
+        fit_runs = whole_number("`fit_runs`", fit_runs, statistics.fewest_runs(statistics.BUDGET))
         self.runs = whole_number("`runs`", runs, 2)
         self.entropy = whole_number("`entropy`", entropy)
         self.tuning = Tuning(runs=fit_runs, sift_runs=max(fit_runs // SIFTED, 1), rule=rule)
@@ -141,8 +134,8 @@ class Evaluator:
         record = panel.record(0, attacked, {})
         moved, counts = record.displacement_m, record.counts
         stealth = score_stealth(moved, record.alarmed, counts)
-        samples = draw_resamples(select_clusters(record.sky)[counts])
-        budget, mean = self.tuning.budget, bootstrap_mean(moved[counts], samples)
+        samples = statistics.draw_resamples(select_clusters(record.sky)[counts])
+        budget, mean = self.tuning.budget, statistics.bootstrap_mean(moved[counts], samples)
         return SpooferScore(
             task=self.task,
             world=self.world.title,
@@ -153,8 +146,10 @@ class Evaluator:
             value=value,
             runs=self.runs,
             counted=stealth.runs,
-            stealthy_displacement_m=mean if exact is None else Estimate.of(exact[MEASURES[0]]),
-            alarm_rate=wilson(stealth.alarms, stealth.runs),
+            stealthy_displacement_m=mean
+            if exact is None
+            else statistics.Estimate.of(exact[MEASURES[0]]),
+            alarm_rate=statistics.wilson(stealth.alarms, stealth.runs),
             clean_alarm_rate=float((panel.twin_alarm[:, 0] > 0).mean()),
             budget=budget,
             within_budget=exact is not None or stealth.seems_to_keep(budget),
@@ -267,7 +262,7 @@ def evaluate(
     """
     if task is None and not {*world} - {"detector"}:
         world = {**read_training_world(policy), **world}
-    judge = Evaluator(
+    return Evaluator(
         task,
         runs=runs,
         fit_runs=fit_runs,
@@ -276,8 +271,7 @@ def evaluate(
         threads=threads,
         progress=progress,
         **world,
-    )
-    return judge.score(
+    ).score(
         policy,
         amplitude=amplitude,
         knowledge=knowledge,

@@ -46,10 +46,8 @@ RUNS = 200
 
 @dataclass(frozen=True)
 class Pairs(Experiment):
-    """What all pairs of a game do; a spoofer meets the passive detectors in one pass.
-
-    `strategies`: of both sides; `spoofers`, `detectors`: pure ones, whose weights are `mixes`.
-    """
+    """What all pairs of a game do; a spoofer meets the passive detectors in one pass. `strategies`:
+    of both sides; `mixes`: weights of the pure `spoofers` and `detectors` in them."""
 
     name: ClassVar[str] = "game"
     game: Game
@@ -76,8 +74,7 @@ class Pairs(Experiment):
             alone = self._is_alone((b, a))
             group = f"{a.label} against {b.label if alone else f'{passive} detectors'}"
             key, identity = self._identity(a, b)
-            cell = Cell(key, identity, 1.0 if alone else 1.0 / passive, group=group)
-            found[key] = cell, a, b
+            found[key] = Cell(key, identity, 1.0 if alone else 1.0 / passive, group=group), a, b
         return found
 
     def _is_alone(self, pair: tuple[PlayerSpec, PlayerSpec]) -> bool:
@@ -233,7 +230,8 @@ class Game:
         self.task, self.payoff, self.seeds = task, RunPayoff(payoff, limit_m), (entropy, split)
         self.store = MemoryStore(None if folder is None else Store(folder))
         self.threads, self.progress = threads, progress or NullProgress()
-        self._judges: dict[str, tuple[Detector, bool]] = {}
+        self._judges: dict[str, Detector] = {}
+        self._passive: dict[str, bool] = {}
         self._players: dict[tuple[str, str], PlayerSpec] = {}
 
     @property
@@ -249,11 +247,15 @@ class Game:
 
     def detector(self, member: PlayerSpec) -> Detector:
         """Detector of a member, with the thresholds that it has in this world."""
-        return self._judge(member)[0]
+        if member.label not in self._judges:
+            self._judges[member.label] = self.world.judge(member)
+        return self._judges[member.label]
 
     def is_passive(self, member: PlayerSpec) -> bool:
         """Whether a detector leaves the filter alone."""
-        return not self._judge(member)[1]
+        if member.label not in self._passive:
+            self._passive[member.label] = not weighs(self.setup, self.detector(member))
+        return self._passive[member.label]
 
     def matrix(
         self, spoofers: Sequence[Any], detectors: Sequence[Any], *, oracles: bool = False
@@ -292,20 +294,17 @@ class Game:
             specify_strategy(each, DETECTOR) for each in _check_strategies(detectors, DETECTOR)
         ]
         for each in (*rows, *columns):
-            self._check_fresh(each)
+            if self.seeds in each.decided_on:
+                entropy, split = self.seeds
+                raise ValueError(
+                    f"{each.label} was trained or chosen on the runs of the split {split!r} with "
+                    f"entropy {entropy}: it can't be scored on them; take another split or entropy"
+                )
         spoofers_used, of_rows = self._expand_mixtures(rows)
         detectors_used, of_columns = self._expand_mixtures(columns)
         if not oracles:
             _check_oracles(spoofers_used)
         return Pairs(self, (rows, columns), spoofers_used, detectors_used, (of_rows, of_columns))
-
-    def _check_fresh(self, strategy: Strategy) -> None:
-        if self.seeds in strategy.decided_on:
-            entropy, split = self.seeds
-            raise ValueError(
-                f"{strategy.label} was trained or chosen on the runs of the split {split!r} with "
-                f"entropy {entropy}: it can't be scored on them; take another split or entropy"
-            )
 
     def _expand_mixtures(
         self, strategies: Sequence[Strategy]
@@ -328,13 +327,6 @@ class Game:
             for member, chance in zip(members, chances, strict=True):
                 row[where[member.label]] += chance
         return list(everyone.values()), weights
-
-    def _judge(self, member: PlayerSpec) -> tuple[Detector, bool]:
-        """Detector with its thresholds, and whether it takes weight off measurements."""
-        if member.label not in self._judges:
-            made = self.world.judge(member)
-            self._judges[member.label] = made, weighs(self.setup, made)
-        return self._judges[member.label]
 
 
 def _check_strategies(given: Any, side: str) -> list[Any]:

@@ -26,10 +26,8 @@ KNOWN, MOST_KNOWN = "sources.json", 5_000
 
 
 def code_identity(packages: Iterable[str] = (), sources: Iterable[Path] = ()) -> dict[str, str]:
-    """Digest of the library's code, and versions; of further packages and folders, where given.
-
-    Comments, docstrings and layout do not count, nor does what is `NOT_COMPUTING`.
-    """
+    """Digest of the library's code, without comments, docstrings, layout and what is
+    `NOT_COMPUTING`, and versions; of further packages and folders, where given."""
     return {
         "sources": digest_of_sources(LIBRARY, *sources),
         "python": platform.python_version(),

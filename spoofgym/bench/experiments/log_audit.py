@@ -33,14 +33,8 @@ from ..runs.players import add_tuned_setting, specify_detector, specify_spoofer
 from ..runs.record import MEASURES, Protection, mask_valid_runs, undetected_displacement
 from ..scores.audit import AgeProbe, Audit
 from ..scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
+from ..search import attack_suite
 from ..search.amplitude import Tuning, with_rates
-from ..search.attack_suite import (
-    FamilyAttacks,
-    Selection,
-    SuiteAttack,
-    list_suite_attacks,
-    play_winners,
-)
 from ..search.backends import ReplayBackend
 from ..search.log_attack import make_context, play_spoofer
 from ..search.open_loop import search_aims
@@ -86,7 +80,7 @@ class LogPanel:
         ]
 
 
-class LogAttacks(FamilyAttacks):
+class LogAttacks(attack_suite.FamilyAttacks):
     """The search for the worst attacks of a family on a log."""
 
     def measure(self, panel: Any, attacked: Any) -> dict[str, NDArray[np.float64]]:
@@ -94,11 +88,8 @@ class LogAttacks(FamilyAttacks):
 
 
 class LogAuditor:
-    """Audits detectors on a log, a file or an `InnovationLog`; its arguments are those of `audit`.
-
-    `alert_limit_m`: error that must not be exceeded unnoticed; `false_alarms_per_hour`: in place of
-    what a detector requests; `times`: of `LogReplay`.
-    """
+    """Audits detectors on a log; arguments as of `audit`, an alert limit, a rate in place of what a
+    detector requests, and `times` of `LogReplay`."""
 
     def __init__(
         self,
@@ -202,7 +193,7 @@ class LogAudit(Experiment):
         chosen_on, played, _ = self.panels
         limit = self.of.alert_limit_m
         head: dict[str, Any] = {"detector": self.label}
-        suite = list_suite_attacks(chosen_on.context)
+        suite = attack_suite.list_suite_attacks(chosen_on.context)
         attacks = [member for member in suite if member.letter in family.letters]
         if SEARCHED in family.letters:
             backend = ReplayBackend(chosen_on.replay, 0, "target")
@@ -211,13 +202,15 @@ class LogAudit(Experiment):
             found = search_aims(backend, Tuning(), BUDGETS[self.of.budget].search, limit)
             spoofer = specify_spoofer(add_tuned_setting({"name": "open-loop"}))
             curves = sorted({tuple(each["rates_mps"]) for each in found.values()})
-            attacks += [SuiteAttack("c", with_rates(spoofer, [*curve])) for curve in curves]
+            attacks += [
+                attack_suite.SuiteAttack("c", with_rates(spoofer, [*curve])) for curve in curves
+            ]
             head["zero_alarm"] = chosen_on.replay.bound_zero_alarm().as_json()
-        sizes = Selection(runs=chosen_on.runs, sift_runs=chosen_on.runs)
+        sizes = attack_suite.Selection(runs=chosen_on.runs, sift_runs=chosen_on.runs)
         search = LogAttacks(chosen_on, 0, tuple(attacks), sizes, antenna_m=(1.0, 2.0))
         panels: tuple[Any, Any] = chosen_on, played
         best = play_searches(panels[0], [(0, search.winners([limit]))])
-        winners = play_winners(panels[1], [(search, best[0])], lambda _: None)
+        winners = attack_suite.play_winners(panels[1], [(search, best[0])], lambda _: None)
         return Protection(head, winners[0], played.counts[:, 0], played.sky, None)
 
     def _probe_ages(self) -> AgeProbe:

@@ -52,12 +52,9 @@ class Interrupted(KeyboardInterrupt):
 
 @dataclass
 class Context:
-    """What a process has for the cells that it computes.
-
-    - `threads`: of the engine; None for all useful ones;
-    - `cache`: shared from cell to cell, such as runs at the onset;
-    - `tick`: may be called with a part of the cells' `work` when it is done.
-    """
+    """What a process has for its cells: `threads` of the engine, None for all useful ones; a
+    `cache` from cell to cell; and `tick`, which may be called with a part of the cells' `work` when
+    it is done."""
 
     threads: int | None = None
     cache: dict[Any, Any] = field(default_factory=dict)
@@ -120,8 +117,7 @@ def run_experiment(
     check_choice("backend", kind, BACKENDS)
     if kind != "local":
         _import_backend(kind)
-    outputs = experiment.outputs
-    store.open(experiment.name, experiment.config, outputs=outputs, overwrite=overwrite)
+    store.open(experiment.name, experiment.config, outputs=experiment.outputs, overwrite=overwrite)
     cells = list(experiment.cells())
     plan = _Plan(cells, store, None if shard is None else _check_shard(*shard))
     results = Reader(store, cells)
@@ -129,8 +125,7 @@ def run_experiment(
         try:
             finished(results)
             if plan.count:
-                most = min(jobs, plan.count)
-                workers = _workers(experiment, store, backend, most, threads)
+                workers = _workers(experiment, store, backend, min(jobs, plan.count), threads)
                 for _ in _run_all(plan, stack.enter_context(workers), store, bar):
                     finished(results)
         except KeyboardInterrupt as error:

@@ -43,12 +43,10 @@ DAMAGED = (
 class Cell(NamedTuple):
     """A part of an experiment that is computed and stored as one.
 
-    - `key`: its name in the experiment;
     - `identity`: what its result depends on besides the experiment's `config`, as JSON; None where
       this can't be written down: then the result is in memory only;
-    - `work`: how long it takes, in a unit of the experiment; finished cells do not count;
-    - `after`: keys of the cells that must be finished first; it may read their results;
-    - `group`: cells of one group are computed in one call, such as detectors in one pass.
+    - `work`: how long it takes, in a unit of the experiment; `after`: keys of cells that are
+      finished first, which it may read; `group`: cells of one are computed in one call.
     """
 
     key: str
@@ -59,10 +57,7 @@ class Cell(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What a cell has returned: arrays, a record that is JSON, and files, by name.
-
-    Nothing in it may depend on the time, the machine or the cells that are computed with it.
-    """
+    """What a cell has returned, by name; it depends on no time, machine or other cell."""
 
     arrays: Mapping[str, NDArray[Any]] = {}  # never written to
     record: Any = None

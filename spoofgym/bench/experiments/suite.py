@@ -41,15 +41,8 @@ from ..runs.players import (
     specify_spoofer,
 )
 from ..runs.world import CONTROLS, WORLD, World
+from ..search import attack_suite
 from ..search.amplitude import EXACT, Tuning
-from ..search.attack_suite import (
-    NAME,
-    VERSION,
-    Selection,
-    SuiteAttack,
-    list_fitting_attacks,
-    suite_digest,
-)
 from ..search.bounds import DisplacementBounds
 from ..search.open_loop import Optima
 
@@ -130,7 +123,7 @@ class Suite:
         default=False,
         help="Whether detectors may play that know the attack; the report then says which ones do.",
     )
-    selection: Selection | None = setting(
+    selection: attack_suite.Selection | None = setting(
         default=None,
         help="Search for the worst attack of the attack suite, by which detectors are protected; "
         "None for none.",
@@ -150,8 +143,7 @@ class Suite:
 
     @cached_property
     def world(self) -> World:
-        named = {name: getattr(self, name) for name in ("env", *WORLD, "settings")}
-        return World.of(**named)
+        return World.of(**{name: getattr(self, name) for name in ("env", *WORLD, "settings")})
 
     @property
     def fit_runs(self) -> int:
@@ -168,12 +160,6 @@ class Suite:
     def alert_limits_m(self) -> list[float]:
         """Alert limits by which detectors are compared."""
         return sorted({*ALERT_LIMITS_M, float(self.alert_limit_m)})
-
-    @property
-    def _oracle_notes(self) -> tuple[str, ...]:
-        """Which detectors are oracles; a line each."""
-        labels = oracle_labels(self.detector_players)
-        return tuple(f"{label} is an oracle: it knows the attack" for label in labels)
 
     @cached_property
     def spoofer_players(self) -> tuple[PlayerSpec, ...]:
@@ -211,12 +197,11 @@ class Suite:
 
     def build_bounds(self, **settings: int) -> DisplacementBounds:
         """Floor and zero-alarm bounds; `settings`: ``worlds`` of `Brackets`."""
-        budget = self.tuning.budget
         return DisplacementBounds(
             self.world,
             self.detector_players,
             self.entropy,
-            budget,
+            self.tuning.budget,
             floor_worlds=self.floor_worlds,
             **settings,
         )
@@ -261,6 +246,8 @@ class Suite:
         ]
         for line in unknown:
             warnings.warn(line, UserWarning, stacklevel=2)
+        oracles = oracle_labels(self.detector_players)
+        seeing = (f"{label} is an oracle: it knows the attack" for label in oracles)
         return {
             "spoofgym": __version__,
             "outside": {
@@ -279,25 +266,23 @@ class Suite:
             "alert_limit_m": float(self.alert_limit_m),
             "alert_limits_m": list(ALERT_LIMITS_M),
             **({} if self.floor_worlds is None else {"floor_worlds": self.floor_worlds}),
-            "notes": [
-                *self.notes,
-                *self.captions,
-                *self._oracle_notes,
-                *self.left_out,
-                *unknown,
-            ],
+            "notes": [*self.notes, *self.captions, *seeing, *self.left_out, *unknown],
         }
 
     @cached_property
-    def suite_attacks(self) -> tuple[SuiteAttack, ...]:
+    def suite_attacks(self) -> tuple[attack_suite.SuiteAttack, ...]:
         """Attacks of the attack suite that fit the victim."""
-        return list_fitting_attacks(self.world.setup, self.world.context)
+        return attack_suite.list_fitting_attacks(self.world.setup, self.world.context)
 
     def _attack_suite(self) -> dict[str, Any] | None:
         """Name, version and search of the attack suite; None where it is not played."""
         if self.selection is None:
             return None
-        named = {"name": NAME, "version": VERSION, "digest": suite_digest(self.suite_attacks)}
+        named = {
+            "name": attack_suite.NAME,
+            "version": attack_suite.VERSION,
+            "digest": attack_suite.suite_digest(self.suite_attacks),
+        }
         return {**named, **dataclasses.asdict(self.selection)}
 
     @cached_property

@@ -19,11 +19,7 @@ from ...core.registry import Spec
 from ...envs.context import apply_pace, spoofer_context
 from ...envs.observer import Observer
 from ...envs.options import checked_action
-from ...envs.spoofer_binding import (
-    bound_spoofer,
-    make_command_map,
-    monitors_for,
-)
+from ...envs.spoofer_binding import bound_spoofer, make_command_map, monitors_for
 from ...envs.terms.action import CommandMap, Decisions
 from ...envs.terms.observation import default_terms
 from ...simulation.engine import Engine
@@ -65,13 +61,9 @@ LAST_PARTS = (0.1, 0.6)  # range of the part of the window in which a dash takes
 
 
 class TrainingAttacks:
-    """Families of attacks in one world.
-
-    `setup`: victim and attack, with the detector in the loop; `reach_m`: what `REACH` is in parts
-    of: an alert limit; `families`: some of `FAMILIES`; `optima`: rates of open-loop attacks at
-    their knots, for the family of that name [m/s]; `spoofers`: names and settings of further
-    spoofers, each a family of its own, as `make_spoofer` takes them; an ONNX file, too.
-    """
+    """Families of attacks, some of `FAMILIES`, in one world with the detector in the loop; `REACH`
+    is in parts of `reach_m`; `optima`: rates of open-loop attacks at their knots [m/s]; `spoofers`:
+    further ones, each a family of its own."""
 
     def __init__(
         self,
@@ -105,8 +97,7 @@ class TrainingAttacks:
                 **self._spoofers[own],
                 AMPLITUDE: round_setting(log_uniform(rng, AMPLITUDES)),
             }
-        goal_m = self._reach_m * log_uniform(rng, REACH)
-        spec = self._makers[self.families[family]](rng, goal_m)
+        spec = self._makers[self.families[family]](rng, self._reach_m * log_uniform(rng, REACH))
         if has_heading(self._context.action_names):
             spec["heading_deg"] = round_setting(rng.uniform(0.0, 360.0))
         return family, spec
@@ -213,8 +204,7 @@ class Attackers:
             spoofer.bind(context)
             spoofer.reset()
             commands.aim(engine.simulator.heading[row : row + 1])
-            decisions = Decisions(own, 1, len(commands.names))
-            self._spoofers.append((spoofer, commands, decisions, seen))
+            self._spoofers.append((spoofer, commands, Decisions(own, 1, len(commands.names)), seen))
 
     def command(self, epoch: int) -> FloatArray:
         """Command (B, a) of an epoch, counted from the onset on."""

@@ -58,8 +58,7 @@ def _head(found: dict[str, Any]) -> Iterator[str]:
 
 def _figures(found: dict[str, Any]) -> Iterator[str]:
     reference, floor = found["reference"], found["floor_m"]
-    beside = "" if reference is None else "best non-learned"
-    yield _row("", "this detector", beside)
+    yield _row("", "this detector", "" if reference is None else "best non-learned")
     requested = found["requested_per_hour"]
     measured = interval(found["false_alarms_per_hour"])
     yield _row(

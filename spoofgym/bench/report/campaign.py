@@ -16,28 +16,10 @@ from ...detectors.calibrated import NOISY_WARMUP
 from ...spoofers.base import sees_statistics
 from ..experiments.campaign import CampaignResults
 from ..runs.record import MEASURES, STANFORD
-from ..scores.campaign import (
-    ANY_RATE,
-    CONTROLS,
-    HALF,
-    NOMINAL,
-    STEALTHY,
-    extract_name,
-    headline,
-    score_protection,
-)
+from ..scores import campaign as scoring
 from ..scores.statistics import Estimate
 from ..search.attack_suite import ORACLES
-from .table import (
-    Table,
-    format_number,
-    interval,
-    metres,
-    percent,
-    render_template,
-    share,
-    yes_no,
-)
+from .table import Table, format_number, interval, metres, percent, render_template, share, yes_no
 
 Row = dict[str, Any]
 ORACLE = " (oracle)"
@@ -73,14 +55,17 @@ def groups(summary: Row) -> list[FalseAlarmGroup]:
     published. A detector that never alarms is in the table of every rate."""
     footing = {row["detector"]: row["footing"] for row in summary["detectors"]}
     rates = sorted(
-        {rate for rate in footing.values() if rate not in (NOMINAL, ANY_RATE)}, key=float
+        {rate for rate in footing.values() if rate not in (scoring.NOMINAL, scoring.ANY_RATE)},
+        key=float,
     )
-    free = [label for label, rate in footing.items() if rate == ANY_RATE]
+    free = [label for label, rate in footing.items() if rate == scoring.ANY_RATE]
     found = [
-        FalseAlarmGroup(rate, [label for label, own in footing.items() if own in (rate, ANY_RATE)])
+        FalseAlarmGroup(
+            rate, [label for label, own in footing.items() if own in (rate, scoring.ANY_RATE)]
+        )
         for rate in rates
     ]
-    nominal = [label for label, rate in footing.items() if rate == NOMINAL]
+    nominal = [label for label, rate in footing.items() if rate == scoring.NOMINAL]
     if nominal or not found:
         found.append(FalseAlarmGroup("", sorted([*nominal, *([] if found else free)])))
     return [group for group in found if group.detectors]
@@ -92,7 +77,7 @@ def _format_claim(claimed: Row) -> str:
 
 
 def _select_headline(share: float, skies: bool = False) -> Any:
-    return lambda row: headline(row["protection"], share, skies=skies)
+    return lambda row: scoring.headline(row["protection"], share, skies=skies)
 
 
 def attack_of_suite(row: Row) -> str:
@@ -123,7 +108,7 @@ DETECTORS = Table(
     ("claimed: % of runs, per hour", "claimed", _format_claim),
     ("measured: % of runs", "false_alarm_per_run", percent),
     ("measured: per hour", "false_alarms_per_hour", interval),
-    ("floor of 50 % [m]", lambda row: row["bracket"]["floor_m"][HALF], format_number),
+    ("floor of 50 % [m]", lambda row: row["bracket"]["floor_m"][scoring.HALF], format_number),
     ("exceeded in 50 % [m]", _select_headline(0.5), interval),
     ("in 5 % [m]", _select_headline(0.05), interval),
     ("worst skies, in 50 % [m]", _select_headline(0.5, skies=True), interval),
@@ -132,7 +117,7 @@ DETECTORS = Table(
         _select_headline(0.5),
         lambda row: f"{attack_of_suite(row)}, {row['setting']}={row['at']:g}",
     ),
-    ("floor, stealthy [m]", lambda row: row["bracket"]["floor_m"][STEALTHY], format_number),
+    ("floor, stealthy [m]", lambda row: row["bracket"]["floor_m"][scoring.STEALTHY], format_number),
     ("optimized open-loop attack [m]", lambda row: row["bracket"]["open_loop"], _optimum),
     ("zero-alarm bound [m]", "bracket", format_bound),
     ("mark", "mark"),
@@ -175,12 +160,11 @@ def list_uncovered(summary: Row) -> list[str]:
 
 
 def mark_detector(summary: Row, detector: str) -> str:
-    """Remarks on a detector. Whether and where it is worse than one that never alarms, or alarms by
-    chance; whether the worst attack moves it as far as one that never alarms; whether it alarms
-    before the onset in more runs than a calibration can stand for; whether the search for attacks
-    has failed, and which attacks are above its zero-alarm bound."""
+    """Remarks on a detector: where it is worse than a control, no better than `never`, alarms
+    before the onset in many runs or above its claim; where a search has failed, or is above the
+    bound."""
     (row,) = (row for row in summary["detectors"] if row["detector"] == detector)
-    if extract_name(detector) in CONTROLS:
+    if scoring.extract_name(detector) in scoring.CONTROLS:
         return "; ".join(["control", *list_bound_marks(row["bracket"])])
     compared = [each for each in summary["comparisons"] if each["detector"] == detector]
     where = dict.fromkeys(_name_comparison(each) for each in compared if each["above"])
@@ -214,9 +198,8 @@ def format_spoofer(spoofer: str, knowledge: str) -> str:
 
 
 def format_target(cell: Row) -> str:
-    """Which detector a spoofer was made for. Returns its label, marked where this is another
-    detector, receiver, scenario, timeline or attack; what the spoofer says of itself where that is
-    all there is; ``-`` for none."""
+    """Which detector a spoofer was made for, marked where here is another detector, receiver,
+    scenario, timeline or attack; what the spoofer says of itself where that is all there is."""
     knowledge = cell["knowledge"]
     if knowledge["detector"] is None:
         return "-" if knowledge["design_time"] == "nothing" else str(knowledge["design_time"])
@@ -416,8 +399,7 @@ def group_optima(summary: Row) -> dict[str, list[str]]:
         if optimum is not None and optimum["by"] is not None:
             start = optimum["unbeaten_start"]
             text = f" (search found nothing better than the {start})" if start else ""
-            name = row["detector"] + text
-            labels.setdefault(optimum["by"], []).append(name)
+            labels.setdefault(optimum["by"], []).append(row["detector"] + text)
     return labels
 
 
@@ -489,7 +471,7 @@ class WorstRows:
     def list_new(self, results: CampaignResults) -> list[str]:
         """Lines of detectors that have been finished since the last call."""
         found = [worst for each in self.waiting if (worst := results.protection(each)) is not None]
-        scores = [(each.detector, score_protection(each, ())) for each in found]
+        scores = [(each.detector, scoring.score_protection(each, ())) for each in found]
         rows = [{"detector": name, "protection": score} for name, score in scores]
         self.waiting = [x for x in self.waiting if x not in {each.detector for each in found}]
         lines = [line for row in rows for line in WORST.lines(row, WIDTHS)]
@@ -500,7 +482,7 @@ class WorstRows:
 def select_reach(row: Row) -> Row | None:
     """What the worst attack exceeds in half of the runs, or the best one within the budget, of a
     row with protection."""
-    reach = headline(row["protection"], 0.5) or row["bracket"]["best_attack"]
+    reach = scoring.headline(row["protection"], 0.5) or row["bracket"]["best_attack"]
     return None if reach is None or reach["value"] is None else reach
 
 
@@ -512,7 +494,9 @@ def state_answer(summary: Row) -> str:
     scores = [(row, reach) for row in rows if (reach := select_reach(row)) is not None]
     if not scores:
         return "No score: no run is silent without an attack, or no attack is within the budget."
-    own = [each for each in scores if extract_name(each[0]["detector"]) not in CONTROLS]
+    own = [
+        each for each in scores if scoring.extract_name(each[0]["detector"]) not in scoring.CONTROLS
+    ]
     row, found = min(own or scores, key=lambda each: each[1]["value"])
     where = f"in the mean at {100 * summary['budget']:g} % of alarms"
     where = "in half of the runs" if protections else where

@@ -17,6 +17,7 @@ from ..runs.players import PlayerSpec
 from ..runs.record import MEASURES, Aim
 from ..scores.campaign import CONTROLS, HALF, STEALTHY, extract_name, headline, score_hazard
 from ..scores.statistics import exceedance
+from . import figures, page
 from .campaign import (
     ATTACKS,
     CLEAN,
@@ -37,25 +38,6 @@ from .campaign import (
     list_notes,
     select_reach,
 )
-from .figures import (
-    SMALLEST_M,
-    Dot,
-    DotRow,
-    Line,
-    dots_height,
-    draw_dots,
-    draw_lines,
-    make_hazard_curve,
-)
-from .page import (
-    Page,
-    Picture,
-    Sheet,
-    list_played_settings,
-    load_replay,
-    record_replay,
-    store_replay,
-)
 from .table import in_percent, interval, metres, percent
 
 FEW = 4  # curves that are drawn with their bands
@@ -66,24 +48,24 @@ AT_BUDGET = (
 )
 
 
-def build_page(results: CampaignResults, summary: Row, replay: Row | None = None) -> Page:
+def build_page(results: CampaignResults, summary: Row, replay: Row | None = None) -> page.Page:
     """Report of a campaign; `replay`: its worst run, as `record_replay` has it."""
     found = groups(summary)
     shown = [group.title if len(found) > 1 else "" for group in found]
     parts = list(zip(found, shown, strict=True))
-    return Page(
+    return page.Page(
         title=f"Campaign: {summary['scenario']}",
         verdict=write_campaign_verdict(results.config, summary),
         missing=summary["missing"],
         pictures=[x for part in parts for x in list_campaign_pictures(results, summary, *part)],
         sheets=[
             *(x for part in parts for x in list_sheets(summary, *part)),
-            Sheet("Compared with the controls", COMPARISONS, summary["comparisons"], "", True),
-            Sheet("Spoofers", KNOWLEDGE, [*known_spoofers(summary).items()], "", True),
+            page.Sheet("Compared with the controls", COMPARISONS, summary["comparisons"], "", True),
+            page.Sheet("Spoofers", KNOWLEDGE, [*known_spoofers(summary).items()], "", True),
         ],
         notes=[*results.config["notes"], *list_notes(summary)],
         replay=replay,
-        played=[("campaign", summary["campaign"]), *list_played_settings(results.store)],
+        played=[("campaign", summary["campaign"]), *page.list_played_settings(results.store)],
         scores=summary,
     )
 
@@ -137,7 +119,7 @@ def _describe_reach(summary: Row, row: Row) -> str:
 
 def list_campaign_pictures(
     results: CampaignResults, summary: Row, group: FalseAlarmGroup, title: str
-) -> list[Picture]:
+) -> list[page.Picture]:
     """Drawings of the detectors at one rate of false alarms."""
     rows, limit_m = detector_rows(summary, group), summary["alert_limit_m"]
     cells = group.rows([cell for cell in summary["cells"] if cell["spoofer"] != "none"])
@@ -152,28 +134,28 @@ def list_campaign_pictures(
     survivals = [_survival(cell, few) for cell in shown if cell["survival"]]
     pictures = [
         picture_displacements(summary, group),
-        Picture(
+        page.Picture(
             "Displacement against time",
             "Median of the induced error under the strongest attack on each detector; X: half "
             "of the runs have alarmed.",
-            draw_lines(courses, onset, "induced error [m]", log="y"),
+            figures.draw_lines(courses, onset, "induced error [m]", log="y"),
         ),
-        Picture(
+        page.Picture(
             "P(HMI) against alert limit",
             "Share of the runs in which the worst attack at each alert limit exceeds it with "
             "no alarm up to the time to alert after it.",
-            draw_lines(curves, "alert limit [m]", "P(HMI)", log="x", limit_m=limit_m),
+            figures.draw_lines(curves, "alert limit [m]", "P(HMI)", log="x", limit_m=limit_m),
         ),
-        Picture(
+        page.Picture(
             "Missed within the time to alert",
             "Of the runs whose error crosses the alert limit; no mark where none does.",
-            draw_dots(missed, f"missed [% of the runs beyond {limit_m:g} m]", log=False),
-            dots_height(missed),
+            figures.draw_dots(missed, f"missed [% of the runs beyond {limit_m:g} m]", log=False),
+            figures.dots_height(missed),
         ),
-        Picture(
+        page.Picture(
             "Still undetected",
             "Kaplan-Meier estimate under the strongest attack on each detector.",
-            draw_lines(survivals, onset, "share undetected"),
+            figures.draw_lines(survivals, onset, "share undetected"),
         ),
     ]
     crossed = any(dot.estimate["value"] is not None for row in missed for dot in row.dots)
@@ -182,22 +164,22 @@ def list_campaign_pictures(
     return [x._replace(title=x.title + tail) for x in compress(pictures, there)]
 
 
-def picture_displacements(summary: Row, group: FalseAlarmGroup) -> Picture:
+def picture_displacements(summary: Row, group: FalseAlarmGroup) -> page.Picture:
     """How far every attack gets against the detectors at one rate of false alarms."""
     cells = group.rows([cell for cell in summary["cells"] if cell["spoofer"] != "none"])
     dots = [_displacement_dots(row, cells) for row in detector_rows(summary, group)]
-    return Picture(
+    return page.Picture(
         "Undetected displacement",
         "Stealthy displacement of every attack (hollow: over budget), and what the worst one "
         "exceeds in 50 % of the runs. Grey: floor and zero-alarm bound, where known.",
-        draw_dots(dots, "displacement [m]", limit_m=summary["alert_limit_m"]),
-        dots_height(dots),
+        figures.draw_dots(dots, "displacement [m]", limit_m=summary["alert_limit_m"]),
+        figures.dots_height(dots),
     )
 
 
-def _displacement_dots(row: Row, cells: Sequence[Row]) -> DotRow:
+def _displacement_dots(row: Row, cells: Sequence[Row]) -> figures.DotRow:
     dots = [
-        Dot(
+        figures.Dot(
             cell["spoofer"],
             cell["stealthy_displacement_m"],
             cell["within_budget"] and cell["tuned_within_budget"] is not False,
@@ -206,28 +188,30 @@ def _displacement_dots(row: Row, cells: Sequence[Row]) -> DotRow:
         if cell["detector"] == row["detector"]
     ]
     if (half := headline(row["protection"], 0.5)) is not None:
-        dots.append(Dot(WORST, half))
+        dots.append(figures.Dot(WORST, half))
     bracket = row["bracket"]
     ends = bracket["floor_m"][STEALTHY], bracket["zero_alarm"]["value"]
     low, high = (x if isinstance(x, float | int) else None for x in ends)
-    return DotRow(row["detector"], dots, (low, high))
+    return figures.DotRow(row["detector"], dots, (low, high))
 
 
-def _missed_dots(row: Row, cells: Sequence[Row]) -> DotRow:
+def _missed_dots(row: Row, cells: Sequence[Row]) -> figures.DotRow:
     own = [cell for cell in cells if cell["detector"] == row["detector"]]
-    return DotRow(row["detector"], [Dot(x["spoofer"], in_percent(x["missed"])) for x in own])
+    return figures.DotRow(
+        row["detector"], [figures.Dot(x["spoofer"], in_percent(x["missed"])) for x in own]
+    )
 
 
-def _line(cell: Row, x: Any, y: Any, band: Any, few: bool, end: int | None = None) -> Line:
+def _line(cell: Row, x: Any, y: Any, band: Any, few: bool, end: int | None = None) -> figures.Line:
     grey = extract_name(cell["detector"]) in CONTROLS
     label = f"{cell['detector']}: {cell['spoofer']}"
-    return Line(label, x, y, band if few else None, grey, end)
+    return figures.Line(label, x, y, band if few else None, grey, end)
 
 
-def _course(results: CampaignResults, cell: Row, few: bool) -> Line:
+def _course(results: CampaignResults, cell: Row, few: bool) -> figures.Line:
     record = results.runs(cell["detector"], cell["spoofer"])
     assert record is not None  # it has been scored
-    error = {k: np.maximum(x, SMALLEST_M) for k, x in record.series["error_m"].items()}
+    error = {k: np.maximum(x, figures.SMALLEST_M) for k, x in record.series["error_m"].items()}
     alarmed = np.asarray(record.series["alarmed"]) >= 0.5
     end = int(alarmed.argmax()) if alarmed.any() else None
     band = error["p05"], error["p95"]
@@ -236,23 +220,23 @@ def _course(results: CampaignResults, cell: Row, few: bool) -> Line:
 
 def _hazard(
     results: CampaignResults, row: Row, strongest: Mapping[str, Row], few: bool
-) -> Line | None:
+) -> figures.Line | None:
     """P(HMI) of the worst attack at every limit, or of the strongest one without a suite."""
     label, found = row["detector"], results.protection(row["detector"])
     grey = extract_name(label) in CONTROLS
     if found is not None:
         worst = partial(score_hazard, found, MEASURES[0])
-        return make_hazard_curve(label, worst, few=few, grey=grey)
+        return figures.make_hazard_curve(label, worst, few=few, grey=grey)
     if label not in strongest:
         return None
     record = results.runs(label, strongest[label]["spoofer"])
     assert record is not None  # it has been scored
     moved = record.displacement_m[record.counts]
     score = lambda limit: exceedance(moved, [limit])[0].as_json()  # noqa: E731
-    return make_hazard_curve(f"{label}: {record.spoofer}", score, few=few, grey=grey)
+    return figures.make_hazard_curve(f"{label}: {record.spoofer}", score, few=few, grey=grey)
 
 
-def _survival(cell: Row, few: bool) -> Line:
+def _survival(cell: Row, few: bool) -> figures.Line:
     x, y, low, high = (
         [start, *(each[key] for each in cell["survival"])]
         for key, start in (("time_s", 0.0), ("share", 1.0), ("low", 1.0), ("high", 1.0))
@@ -260,17 +244,19 @@ def _survival(cell: Row, few: bool) -> Line:
     return _line(cell, x, y, (low, high), few)
 
 
-def list_sheets(summary: Row, group: FalseAlarmGroup, title: str) -> list[Sheet]:
+def list_sheets(summary: Row, group: FalseAlarmGroup, title: str) -> list[page.Sheet]:
     """Tables of the detectors at one rate of false alarms."""
     levels = integrity_rows(summary, group)
     tail = f" {title}" if title else ""
     exact = f"At exactly {100 * summary['budget']:g} % alarms{tail}"
     return [
-        Sheet(f"Detectors {group.title}", DETECTORS, detector_rows(summary, group)),
-        Sheet(f"Stealthy attacks{tail}", ATTACKS, attack_rows(summary, group), "", True),
-        Sheet(exact, EXACTLY, exact_rows(summary, group), AT_BUDGET, True),
-        Sheet(f"Price of the detectors{tail}", CLEAN, group.rows(summary["detectors"]), "", True),
-        Sheet(f"Protection level{tail}", INTEGRITY, levels, "", True),
+        page.Sheet(f"Detectors {group.title}", DETECTORS, detector_rows(summary, group)),
+        page.Sheet(f"Stealthy attacks{tail}", ATTACKS, attack_rows(summary, group), "", True),
+        page.Sheet(exact, EXACTLY, exact_rows(summary, group), AT_BUDGET, True),
+        page.Sheet(
+            f"Price of the detectors{tail}", CLEAN, group.rows(summary["detectors"]), "", True
+        ),
+        page.Sheet(f"Protection level{tail}", INTEGRITY, levels, "", True),
     ]
 
 
@@ -297,10 +283,10 @@ def choose_worst_run(results: CampaignResults, summary: Row) -> tuple[str, str, 
 def replay_worst(suite: Suite, results: CampaignResults, summary: Row) -> None:
     """Play the worst run again, and store it, unless it is stored already."""
     worst = choose_worst_run(results, summary)
-    if worst is None or load_replay(results.store) is not None:
+    if worst is None or page.load_replay(results.store) is not None:
         return
     label, spoofer, spec, run = worst
     (detector,) = (each for each in suite.detector_players if each.label == label)
     player = PlayerSpec(spoofer, SPOOFER, spec)
     episode = play_episode(suite.world, detector, player, run, suite.entropy)
-    store_replay(results.store, record_replay(episode, summary["alert_limit_m"]))
+    page.store_replay(results.store, page.record_replay(episode, summary["alert_limit_m"]))

@@ -21,16 +21,7 @@ from ..scores.audit import format_age
 from ..scores.campaign import score_hazard
 from ..scores.detector import FamilyScore
 from ..scores.scores import SHARES
-from .figures import (
-    Dot,
-    DotRow,
-    Line,
-    dots_height,
-    draw_dots,
-    draw_lines,
-    make_curve,
-    make_hazard_curve,
-)
+from . import figures
 from .page import Page, Picture, Sheet, list_played_settings, record_replay
 from .table import Table, interval, metres, percent, yes_no
 from .tasks import DETECTOR_SCORES
@@ -94,8 +85,7 @@ def replay_worst_attack(
     onset = played[worst.family].onset
     numbers = select_runs(world.setup, plan.entropy, "evaluation", plan.runs, onset)
     player = PlayerSpec(attack.spoofer, SPOOFER, dict(attack.spec))
-    run = int(numbers[moved.argmax()])
-    episode = play_episode(world, detector, player, run, plan.entropy)
+    episode = play_episode(world, detector, player, int(numbers[moved.argmax()]), plan.entropy)
     return record_replay(episode, task.alert_limit_m)
 
 
@@ -165,7 +155,9 @@ def list_score_pictures(
     own = {key: [row for row in rows if row["family"] == key] for key in keys}
     band = (floors[0] if floors else None, None)
     moved = [
-        DotRow(key, [Dot(x["detector"], x["exceeded_m"]["0.5"]) for x in own[key]], band)
+        figures.DotRow(
+            key, [figures.Dot(x["detector"], x["exceeded_m"]["0.5"]) for x in own[key]], band
+        )
         for key in keys
     ]
     curves = [_hazard(detector, families) for detector, families in found.items()]
@@ -174,32 +166,32 @@ def list_score_pictures(
             "Displacement by family of attacks",
             "Undetected displacement that the worst attack of each family exceeds in 50 % of the "
             "runs. Grey: floor, where known.",
-            draw_dots(moved, "displacement [m]", limit_m=limit_m),
-            dots_height(moved),
+            figures.draw_dots(moved, "displacement [m]", limit_m=limit_m),
+            figures.dots_height(moved),
         ),
         Picture(
             "P(HMI) against alert limit",
             "The largest over all attacks of all families at each alert limit.",
-            draw_lines(curves, "alert limit [m]", "P(HMI)", log="x", limit_m=limit_m),
+            figures.draw_lines(curves, "alert limit [m]", "P(HMI)", log="x", limit_m=limit_m),
         ),
     ]
     if ages := [_ages(each) for each in records if "ages" in each]:
         title, caption = "Found at every age", "Test ramps found, by time from switch-on to onset."
-        draw = draw_lines(ages, "time since switch-on [s]", "share found", log="x")
+        draw = figures.draw_lines(ages, "time since switch-on [s]", "share found", log="x")
         pictures.append(Picture(title, caption, draw))
     return pictures
 
 
-def _hazard(detector: str, families: Sequence[FamilyScore]) -> Line:
+def _hazard(detector: str, families: Sequence[FamilyScore]) -> figures.Line:
     """P(HMI) of the worst family at every limit, with its interval."""
 
     def score(limit: float) -> Row:
         found = [score_hazard(family.protection, MEASURES[0], limit) for family in families]
         return max(found, key=lambda row: -1.0 if row["value"] is None else row["value"])
 
-    return make_hazard_curve(detector, score)
+    return figures.make_hazard_curve(detector, score)
 
 
-def _ages(record: Row) -> Line:
+def _ages(record: Row) -> figures.Line:
     ages = record["ages"]
-    return make_curve(record["detector"], ages["age_s"], ages["found"])
+    return figures.make_curve(record["detector"], ages["age_s"], ages["found"])

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from ...core.plots import BLUE, ORANGE, figure_class, save_figure, style
 from ...core.progress import ProgressBar
-from ...core.registry import check_choice
 from ...detectors.calibration_file import hourly_rate, run_probability
 from ...envs.observer import Observer
 from ...envs.terms.observation import default_terms
@@ -53,12 +52,6 @@ DRAWN = {
 EPOCH_S = 0.007  # of a processor, of the floor of one world, for an epoch before the attack
 UNBOUNDED = "unbounded"
 NO_POSITION = "the restricted attack is a false position, which this one does not command"
-
-
-def parse_sensor_knowledge(word: str) -> bool:
-    """Whether the constants of the inertial sensors are known; an error for another word."""
-    check_choice("knowledge of the inertial sensors' constants", word, SENSORS)
-    return SENSORS[word]
 
 
 def per_run(false_alarms_per_hour: float, setup: TightlyCoupledSetup) -> float:
@@ -151,12 +144,12 @@ def divergence_record(
     spoofer = player.build()
     latent = Observer(default_terms(setup, spoofer.knowledge), setup).latent_names
     found: Record = {"spoofer": player.label, "knowledge": spoofer.knowledge}
+    bounds: Record = {}
     try:
         check_no_latent(spoofer.knowledge, latent)
     except ValueError as error:
-        return {**found, "holds": False, "why": str(error), "bounds": {}}
+        return {**found, "holds": False, "why": str(error), "bounds": bounds}
     sizes = _spread(frontier.sizes())
-    bounds = {}
     for purpose, p_d in purposes(p_fa, budget).items():
         divergence = compute_kl_divergence(p_d, p_fa)
         d = math.sqrt(2.0 * divergence)
@@ -230,28 +223,26 @@ DIVERGENCE: dict[str, Callable[[Record], str]] = {
 def print_limits(record: Record) -> None:
     """Print all that a record has, but its notes."""
     say, heads = texts("limits.txt.j2"), _heads(record, record["floors_m"][HEADINGS[0]])
-    floors = Table(
+    Table(
         ("heading of the attack", lambda row: f"{row[0]} to the detector"),
         *(
             (head, lambda row, name=name: row[1][name], _format_lower_limit)
             for name, head in heads.items()
         ),
-    )
-    floors.print(say.floor_title(record), record["floors_m"].items())
+    ).print(say.floor_title(record), record["floors_m"].items())
     print(say.check(record))
     if "zero_alarm" in record:
         ZERO_ALARM.print(say.zero_alarm_title(record), record["zero_alarm"])
     found = record.get("divergence")
     if found is not None and found["holds"]:
         cells = found["bounds"]
-        bounds = Table(
+        Table(
             ("", itemgetter(0)),
             *(
                 (head, lambda row, cell=cells[name]: row[1](cell))
                 for name, head in _heads(record, cells).items()
             ),
-        )
-        bounds.print(say.divergence_title(record), DIVERGENCE.items())
+        ).print(say.divergence_title(record), DIVERGENCE.items())
     elif found is not None:
         print(f"{found['spoofer']}: {found['why']}")
     print(say.assumptions(record).rstrip())

@@ -70,7 +70,7 @@ def render_page(page: Page) -> str:
         svgs = [render_svg(each.draw, each.height_in) for each in page.pictures]
     except ImportError as error:
         why = f"No drawings: {error}."
-    played = [(name, _format_value(value)) for name, value in page.played]
+    played = [(name, x if isinstance(x, str) else json.dumps(x)) for name, x in page.played]
     values = {"page": page, "svgs": svgs, "why": why, "played": played, "terms": {}}
     text = render_template("report.html.j2", {**values, "scores": page.scores})
     terms = {
@@ -98,10 +98,6 @@ def load_terms() -> dict[str, str]:
     """What terms of the reports mean."""
     found: dict[str, str] = json.loads((TEMPLATES / "terms.json").read_bytes())
     return found
-
-
-def _format_value(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value)
 
 
 def list_played_settings(store: Store) -> list[tuple[str, Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from operator import itemgetter
 from typing import Any
@@ -10,19 +10,12 @@ from typing import Any
 from ...tasks import DETECTOR_TASKS, TASKS, DetectorTask, Task, v2
 from ..experiments.suite import DETECTOR_FILE as DETECTOR_FILE
 from ..experiments.suite import FILE as FILE
-from ..experiments.suite import list_task_detectors
 from ..experiments.suite import stored_cards as stored_cards
-from ..runs.players import specify_detector
 from .campaign import OVER, attack_of_suite, bound_text, format_spoofer
 from .table import Table, format_number, interval, metres, percent, share
 
 Card = dict[str, Any]
-SCORES = {
-    "ramp": "blind",
-    "accelerating-ramp": "blind",
-    "open-loop": "blind",
-    "feedback": "oracle",
-}
+SCORES = {"ramp": "blind", "accelerating-ramp": "blind", "open-loop": "blind", "feedback": "oracle"}
 """Spoofers with known scores, each fitted to the alarm budget, and what they observe."""
 FIGURES = {
     "p_hmi": "P(HMI) [%]",
@@ -106,13 +99,6 @@ COMMANDS = {"S": "python -m tools.task_cards {}", "D": "python -m tools.detector
 """That play the cards of tasks, by the letter of these."""
 
 
-def list_unscored(task: DetectorTask, card: dict[str, Any]) -> list[str]:
-    """Labels of detectors that a card has no score of, and does not refuse, as yet."""
-    known = {*(each["detector"] for each in card["detectors"]), *card["left_out"]}
-    everyone = (specify_detector(each).label for each in list_task_detectors(task.task))
-    return [label for label in everyone if label not in known]
-
-
 def stored_detector_cards() -> dict[str, Card]:
     return stored_cards(DETECTOR_FILE)
 
@@ -140,7 +126,7 @@ def list_tasks() -> list[Card]:
     return rows
 
 
-def _format_share(estimate: Card) -> str:
+def format_share(estimate: Card) -> str:
     """Proportion in per cent, without its interval."""
     return "-" if estimate["value"] is None else share(0)(estimate["value"])
 
@@ -155,7 +141,7 @@ DETECTOR_SCORES = Table(
     ("detector", "detector"),
     ("P(HMI) [%], worst family", "p_hmi", percent),
     ("worst family", "worst_family"),
-    ("worst public family [%]", _public, _format_share),
+    ("worst public family [%]", _public, format_share),
     ("exceeded in 50 % [m]", lambda score: score["exceeded_m"]["0.5"], interval),
     ("in 5 % [m]", lambda score: score["exceeded_m"]["0.05"], interval),
     (
@@ -166,7 +152,7 @@ DETECTOR_SCORES = Table(
     (
         "clock step, lost satellite, front [%]",
         lambda score: ", ".join(
-            _format_share(score["false_alarms"][event])
+            format_share(score["false_alarms"][event])
             for event in EVENTS
             if event in score["false_alarms"]  # a log has none
         ),
@@ -182,15 +168,6 @@ CARDS = Table(
 def list_score_rows(cards: dict[str, Card]) -> list[Card]:
     """Scores of all detectors with the keys of their tasks, the best detector of a task first."""
     return [{"task": key, **score} for key, card in cards.items() for score in rank_scores(card)]
-
-
-def family_table(card: Card) -> Table:
-    """Table of P(HMI) by family [%]."""
-    columns = (
-        (each["family"], lambda score, k=k: score["families"][k]["p_hmi"], _format_share)
-        for k, each in enumerate(card["detectors"][0]["families"])
-    )
-    return Table(("detector", "detector"), *columns)
 
 
 def rank_scores(card: Card) -> list[Card]:
@@ -220,25 +197,17 @@ DETECTOR_TASK_LIST = Table(
 
 def print_tasks(keys: Sequence[str] = (*TASKS, *DETECTOR_TASKS)) -> None:
     """Print tasks and their scores; `keys`: which ones."""
-    cards = {key: card for key, card in stored_detector_cards().items() if key in keys}
-    tables = (
-        (TASK_LIST, "for spoofers", [each for each in TASKS.items() if each[0] in keys]),
-        (TASK_SCORES, "stealthy displacement", _select(task_rows(), keys)),
-        (ADMISSION, "admission", _select(admission_rows(), keys)),
-        (
-            DETECTOR_TASK_LIST,
-            "for detectors",
-            [each for each in DETECTOR_TASKS.items() if each[0] in keys],
-        ),
-        (CARDS, "protection", list_score_rows(cards)),
+    tables: tuple[tuple[Table, str, Iterable[Any]], ...] = (
+        (TASK_LIST, "for spoofers", TASKS.items()),
+        (TASK_SCORES, "stealthy displacement", task_rows()),
+        (ADMISSION, "admission", admission_rows()),
+        (DETECTOR_TASK_LIST, "for detectors", DETECTOR_TASKS.items()),
+        (CARDS, "protection", list_score_rows(stored_detector_cards())),
     )
-    for table, title, rows in tables:
+    for table, title, every in tables:
+        rows = [x for x in every if (x["task"] if isinstance(x, dict) else x[0]) in keys]
         if rows:
             table.print(title, rows)
     for key, command in missing().items():
         if key in keys:
             print(f"{key} has no reference scores yet: {command}")
-
-
-def _select(rows: Sequence[Card], keys: Sequence[str]) -> list[Card]:
-    return [row for row in rows if row["task"] in keys]

@@ -38,21 +38,12 @@ def alarm_intervals(alarm: NDArray[np.bool_], time_s: FloatArray) -> list[tuple[
 
 @dataclass(frozen=True)
 class Episode:
-    """A run under attack and its clean twin.
-
-    Times are since the onset, negative in the last part of the warm-up; L epochs of it and K from
-    the onset to the end are recorded.
-
-    - `setup`: world and detector; `entropy`, `run`: which of the evaluation runs;
-    - `time` (L + K,) [s];
-    - `ratio` (L + K, 2) largest ratio of a statistic to its threshold, attacked and twin;
-    - `alarm` (L + K, 2) bool;
-    - `error_n` (K, 2, d) distance from the truth, north, east (and down) [m];
-    - `displacement` (K, a) commanded displacement [m];
-    - `frames` (K,) position and sky of the attacked receiver;
-    - `channels` (a,) what is displaced;
-    - `onset_epoch`: epoch of `Setup.epoch_time` after which the attack starts.
-    """
+    """A run under attack and its clean twin: L epochs of the warm-up, whose times since the onset
+    are negative, and K to the end. By epoch, attacked and twin side by side: `time` (L + K,) [s];
+    `ratio` (L + K, 2) of statistic to threshold; `alarm` (L + K, 2); `error_n` (K, 2, d) distance
+    from the truth, north, east (and down) [m]. Of the attacked one: `displacement` (K, a) of
+    `channels` (a,) that is commanded [m], and `frames` (K,). `onset_epoch`: of
+    `Setup.epoch_time`."""
 
     setup: Setup
     detector: PlayerSpec
@@ -95,8 +86,7 @@ class Episode:
         follows is recorded."""
 
         def fill(values: FloatArray) -> FloatArray:
-            missing = np.full((self.onset, *values.shape[1:]), np.nan)
-            return np.concatenate((missing, values))
+            return np.concatenate((np.full((self.onset, *values.shape[1:]), np.nan), values))
 
         found: dict[str, NDArray[Any]] = {"time_s": self.time}
         for side, column in (("", ATTACKED), ("twin_", TWIN)):
@@ -243,8 +233,7 @@ def _draw_flight(ax: Any, episode: Episode) -> None:
     world, onset = divmod(episode.onset_epoch, setup.epochs_each)
     flown = setup.true_position[world * setup.epochs_each :][: setup.epochs_each]
     end, first = onset + setup.steps + setup.hold, onset - episode.onset - setup.filter_only
-    axes = setup.C_en[episode.onset_epoch]
-    north, east = ((flown - flown[onset]) @ axes).T[:2] / 1000.0
+    north, east = ((flown - flown[onset]) @ setup.C_en[episode.onset_epoch]).T[:2] / 1000.0
     ax.plot(east, north, color="#cccccc", lw=2, label="flight")
     ax.plot(east[first : onset + 1], north[first : onset + 1], color=GREY, lw=2, label="warm-up")
     ax.plot(east[onset : end + 1], north[onset : end + 1], color=ORANGE, lw=2.5, label="attack")

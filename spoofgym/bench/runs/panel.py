@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Generator, Sequence
-from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -59,10 +58,7 @@ def near_switch(setup: Setup) -> Mask:
     return near.ravel()
 
 
-CONDITIONS: dict[str, Callable[[Setup], Mask]] = {
-    "turn": turning,
-    "satellite-switch": near_switch,
-}
+CONDITIONS: dict[str, Callable[[Setup], Mask]] = {"turn": turning, "satellite-switch": near_switch}
 """Conditions on the onset that follow from the world alone."""
 
 
@@ -139,12 +135,10 @@ Search = Generator[list[PanelAttack], list[Runs], T]
 
 
 class Panel:
-    """Runs at their onset, in front of a detector in the loop, or of several that only look.
-
-    - `clean`: what each detector makes of the runs without attack;
-    - `warmup_alarm`, `twin_alarm` (R, D) alarms before the onset, and epoch of the first after it;
-    - `counts` (R, D) which of them count; `sky` (R,) under which they fly.
-    """
+    """Runs at their onset, under a `sky` (R,), in front of a detector in the loop, or of several
+    that only look; `clean`: what each makes of them without attack; `warmup_alarm`, `twin_alarm`
+    (R, D) alarms before the onset, and epoch of the first after it; `counts` (R, D) which of them
+    count."""
 
     def __init__(
         self,
@@ -198,11 +192,9 @@ class Panel:
         drop: bool = True,
         tick: Callable[[float], None] = lambda _: None,
     ) -> list[Runs]:
-        """What detectors make of attacks, each by its number. `drop`: as of `play_side_by_side`.
-
-        Equal attacks are played once, and those that go side by side share a pass.  A spoofer that
-        observes statistics has a pass of its own with every detector in the loop.
-        """
+        """What detectors make of attacks, each by its number; `drop`: as of `play_side_by_side`.
+        Equal attacks are played once, and those side by side share a pass; a spoofer that observes
+        statistics has a pass of its own with every detector in the loop."""
         wanted: dict[str, tuple[PanelAttack, set[int]]] = {}
         for each, number in attacks:
             wanted.setdefault(each.key, (each, set()))[1].add(number)
@@ -221,12 +213,13 @@ class Panel:
                 some = [(several[j], sizes[j]) for j in np.flatnonzero(share == part)]
                 rows = np.concatenate([np.arange(size) for _, size in some])
                 which = np.repeat(np.arange(len(some)), [size for _, size in some])
+                size = len(rows) * len(numbers)
                 played = play_side_by_side(
                     self._start(numbers, alone, some[0][0], rows),
                     [each.spec for each, _ in some],
                     which,
                     drop_alarmed=drop,
-                    tick=partial(_tick_rows, tick, len(rows) * len(numbers)),
+                    tick=lambda part, n=size: tick(part * n),  # type: ignore[misc]
                 )
                 for j, (each, _) in enumerate(some):
                     own_rows = np.flatnonzero(which == j)
@@ -288,8 +281,7 @@ class Panel:
             start = self.start if whole else self.start.under(self._build_setup(numbers))
             return start.take(rows)
         if numbers[0] not in self._alone:
-            judge = self.judges[numbers[0]]
-            setup = self.world.copy_with(detector=judge, monitors=self._watched)
+            setup = self.world.copy_with(detector=self.judges[numbers[0]], monitors=self._watched)
             self._alone[numbers[0]] = WarmStart(setup, self.rngs(), threads=self.threads)
         return self._alone[numbers[0]].take(rows)
 
@@ -310,10 +302,6 @@ class Panel:
         pairs = zip(played, self.clean, strict=True)
         moved = [compute_displacement(self.setup, x, twin.first(attack.runs)) for x, twin in pairs]
         return np.asarray(np.round(np.array(moved), 6), dtype=np.float64)
-
-
-def _tick_rows(tick: Callable[[float], None], rows: int, part: float) -> None:
-    tick(part * rows)
 
 
 def play_searches(
@@ -344,8 +332,7 @@ class NearAlarm(Panel):
         self.world, self.judges, self.threads, self._watched = setup, [judge], threads, []
         last = round(NEAR_ALARM_S / setup.interval_s)
         own = self._build_setup((0,))
-        watched = own.copy_with(monitors=[LateMaxima(last)])
-        everyone = WarmStart(watched, rngs(), threads=threads)
+        everyone = WarmStart(own.copy_with(monitors=[LateMaxima(last)]), rngs(), threads=threads)
         ratio, _ = everyone.simulator.monitor(LateMaxima).pop_maxima()
         order = np.argsort(-ratio[:, 0], kind="stable")
         chosen = np.sort(order[: math.ceil(len(order) / CANDIDATES)])

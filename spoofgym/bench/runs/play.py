@@ -53,12 +53,10 @@ class _Part(NamedTuple):
 
 
 class SpooferController:
-    """Spoofers that command the receivers of an engine, which are at their onset.
-
-    - `engine`: its simulator leaves all measurements alone where the first transmits nothing;
-    - `specs`: of the spoofers, alike but for their settings: they observe and command the same, at
-      the same pace, their own; `which` (B,) commands each receiver, by default the first.
-    """
+    """Spoofers that command the receivers of an engine, which are at their onset; it leaves
+    measurements alone where the first transmits nothing. `specs` are alike but for their settings:
+    they observe and command the same, at one pace; `which` (B,) commands each receiver, by default
+    the first."""
 
     def __init__(
         self, specs: Sequence[Any], engine: Engine, which: NDArray[np.intp] | None = None
@@ -122,16 +120,14 @@ class SpooferController:
         self.engine, before = engine, self._parts
         self._decisions = self._decisions.of(rows)
         own = [np.flatnonzero(np.isin(part.rows, rows)) for part in before]
-        parts = zip(before, own, strict=True)
-        left = [(part, among) for part, among in parts if len(among)]
+        left = [(part, among) for part, among in zip(before, own, strict=True) if len(among)]
         self._parts = [
             _Part(part.spec, make_spoofer(part.spec), np.searchsorted(rows, part.rows[among]))
             for part, among in left
         ]
         self._bind()
         for mine, (part, among) in zip(self._parts, left, strict=True):
-            everyone = np.arange(len(among))
-            mine.spoofer.memory.copy_rows(everyone, part.spoofer.memory, among)
+            mine.spoofer.memory.copy_rows(np.arange(len(among)), part.spoofer.memory, among)
 
 
 def _shaped_action(spoofer: Spoofer, seen: NDArray[np.float32]) -> FloatArray:
@@ -140,8 +136,7 @@ def _shaped_action(spoofer: Spoofer, seen: NDArray[np.float32]) -> FloatArray:
         action = np.asarray(spoofer.act(seen), dtype=np.float64)
     except (LookupError, AttributeError) as error:
         inner = getattr(spoofer, "spoofer", spoofer)
-        what = f"{type(inner).__name__} raises {describe_error(error)}"
-        raise RuntimeError(what) from error
+        raise RuntimeError(f"{type(inner).__name__} raises {describe_error(error)}") from error
     names = spoofer.context.action_names
     if action.shape != (len(seen), len(names)):
         raise ValueError(
@@ -165,14 +160,12 @@ class Runs(NamedTuple):
     """What happened in the K epochs from the onset of the attack to the end of the hold.
 
     - `position` (K, R, d) estimated after each epoch, in the axes of `Setup.true_position` [m]; NaN
-      once a run has been dropped;
-    - `alarm` (K, R) bool, whether any channel alarmed;
-    - `peak` (R,) largest ratio of a statistic to its threshold;
-    - `onset` (R,) epoch of `Setup.epoch_time` after which the attack began;
-    - `heading` (R,) direction of the target, clockwise from north [rad];
-    - `coasting` (K, R) bool, whether the epoch had no update for want of measurements;
-    - `blamed` (R,) channels that were blamed, summed over the epochs;
-    - `protection` (K, R) protection level [m]; None but of clean runs of a detector that has one.
+      once a run has been dropped; `alarm` (K, R) of any channel;
+    - `peak` (R,) largest ratio of a statistic to its threshold; `blamed` (R,) channels, summed;
+    - `onset` (R,) epoch of `Setup.epoch_time` after which the attack began; `heading` (R,) of the
+      target, clockwise from north [rad];
+    - `coasting` (K, R) whether the epoch had no update for want of measurements;
+    - `protection` (K, R) level [m]; None but of clean runs of a detector that has one.
     """
 
     position: FloatArray
@@ -263,10 +256,8 @@ class WarmStart:
 
 class PanelDetectors(PassiveDetectors):
     """Detectors that share a pass of the engine, by numbers that stay theirs in smaller panels.
-
-    `memory`: also ``alarmed`` (B, D) and ``blamed``, channels that are, at the last epoch alone,
-    and ``so_far``, whether each has alarmed since the episode began.
-    """
+    `memory`: ``alarmed`` and ``blamed`` channels (B, D) of the last epoch, ``so_far`` of the
+    episode."""
 
     def __init__(self, detectors: Sequence[Detector], numbers: Sequence[int] | None = None) -> None:
         super().__init__(detectors)

@@ -47,9 +47,8 @@ FITTED = "fitted"
 
 
 def add_tuned_setting(spec: Any) -> Spec:
-    """A spoofer's spec with one setting to be fitted to the alarm budget, where it has none yet.
-    That is the usual one of `DEFAULT_SPOOFERS` for a name without settings, and else the amplitude
-    of its commands; an amplitude that is given stays."""
+    """A spoofer's spec with one setting to be fitted to the alarm budget, where it has none yet:
+    that of `DEFAULT_SPOOFERS` for a name alone, and else the amplitude, unless one is given."""
     given: Spec = {"name": spec} if isinstance(spec, str) else dict(spec)
     usual = {each["name"]: each for each in DEFAULT_SPOOFERS}
     if len(given) == 1 and given["name"] in usual:
@@ -61,13 +60,12 @@ def add_tuned_setting(spec: Any) -> Spec:
 
 @dataclass(frozen=True)
 class PlayerSpec:
-    """A detector or a spoofer with all its settings.
+    """A detector, a spoofer or an attack (`side`) with all its settings.
 
-    - `label`: unique among those that play; `side`: of `SPOOFER`, `DETECTOR` and `ATTACK`;
-    - `spec`: name and settings, JSON-able; None of an object that no text describes, the `thing`;
-    - `tuned`: setting that is to be searched for, None for none, and its `largest` value, None for
-      the usual one;
-    - `knowledge`: what a spoofer observes while it attacks;
+    - `label`: unique among those that play; `spec`: name and settings, JSON-able; None of an object
+      that no text describes, the `thing`;
+    - `tuned`: setting that is to be searched for, if any, and its `largest` value, if not the
+      usual;
     - `decided_on`: entropy and split of the runs that it was trained, fitted or chosen on.
     """
 
@@ -129,11 +127,8 @@ class PlayerSpec:
 
 @dataclass(frozen=True)
 class Mixture:
-    """A mixed strategy: one member is drawn for every episode.
-
-    - `weights`: probabilities; `decided_on`: as of a `PlayerSpec`, the runs of the matrix in which
-      the mix was solved among them.
-    """
+    """A mixed strategy: one member is drawn for every episode. `decided_on`: as of a `PlayerSpec`,
+    the runs of the matrix in which the mix was solved among them."""
 
     label: str
     members: tuple[PlayerSpec, ...]

@@ -20,22 +20,18 @@ PERCENTILES = (5, 50, 95)
 
 @dataclass(frozen=True)
 class RunRecord:
-    """What a detector and a spoofer did in the runs of a split.
+    """What a detector and a spoofer did in the runs of a split: `head`, labels, settings and
+    lengths, as JSON; `series` by epoch: ``time_s`` since the onset, ``alarmed`` part of the runs,
+    ``error_m`` percentiles; and `records` (R,):
 
-    - `head`: labels, settings and lengths, JSON-able;
-    - `records` (R,) arrays: ``warmup_alarm`` bool; ``first_alarm``, and ``twin_alarm`` of the clean
-      twin, epoch from 1 on, 0 for none; ``alarm_epochs`` how many; ``crossing`` first epoch with
-      the induced error above the alert limit, 0 for none; ``undetected_displacement_m``, the same
-      ``undetected_vertical_m``, ``undetected_along_m`` the target direction, and of the total error
-      ``undetected_total_m`` and ``undetected_total_vertical_m``, as far as there are these axes;
-      ``largest_error_m`` and ``final_error_m`` of the command phase, alarmed or not;
-      ``navigation_rms_m`` distance from the truth; ``coasting_epochs``, and ``coasting_error_m``
-      the largest distance from the truth in them; ``blamed`` channels, summed over the epochs;
-      ``sky`` which one it flew under; ``peak_ratio`` of statistic to threshold; of clean runs of a
-      detector with a protection level ``protection_level_m``, its median, and how many epochs are
-      what in the Stanford diagram (`count_stanford`);
-    - `series`: by epoch: ``time_s`` since the onset, ``alarmed`` part of the runs, ``error_m``
-      percentiles over all runs.
+    - ``warmup_alarm`` bool; ``first_alarm``, and ``twin_alarm`` of the clean twin, epoch from 1 on,
+      0 for none; ``alarm_epochs``; ``crossing``, first epoch beyond the alert limit, 0 for none;
+    - ``undetected_displacement_m``, the same ``vertical``, ``along`` the target direction, and of
+      the ``total`` error, as far as there are these axes; ``largest_error_m`` and ``final_error_m``
+      of the command phase, alarmed or not; ``navigation_rms_m`` distance from the truth;
+    - ``coasting_epochs``, and the largest distance from the truth in them; ``blamed`` channels,
+      summed; ``sky`` it flew under; ``peak_ratio``; of clean runs of a detector with a protection
+      level its median, and epochs by the Stanford diagram (`count_stanford`).
     """
 
     head: dict[str, Any]
@@ -184,12 +180,10 @@ STANFORD = ("nominal", "misleading", "hazardous", "unavailable")  # parts of the
 def count_stanford(
     error: FloatArray, level: FloatArray, alarm: Mask, alert_limit_m: float
 ) -> dict[str, NDArray[np.int64]]:
-    """Epochs by the parts of the Stanford diagram (`tossaint2007`), (R,) by name. With the position
-    error `error` (K, R) and the protection level `level` (K, R) [m]
-
-    - unavailable: the level exceeds the alert limit, or there is an `alarm` (K, R);
-    - else nominal: the error is within the level; misleading: it exceeds the level, hazardous: the
-      alert limit, too."""
+    """(R,) epochs by the parts of the Stanford diagram (`tossaint2007`): unavailable where the
+    protection `level` (K, R) exceeds the alert limit, or at an `alarm` (K, R); else nominal where
+    the position `error` (K, R) [m] is within the level, misleading beyond it, hazardous beyond the
+    limit, too."""
     available = (level <= alert_limit_m) & ~alarm
     beyond = available & (error > level)
     parts = (
@@ -203,13 +197,8 @@ def count_stanford(
 
 
 class Aim(NamedTuple):
-    """What an attack is chosen by.
-
-    - `measure`: one of `MEASURES`;
-    - `share`: of the runs in which the displacement is to be large; or
-    - `limit_m`: alert limit that is to be exceeded often;
-    - `skies`: whether only the worst tenth of them counts.
-    """
+    """What an attack is chosen by: one of `MEASURES`, to be large in a `share` of the runs, or to
+    exceed an alert limit often; `skies`: whether only the worst tenth of them counts."""
 
     measure: str
     share: float | None = None
@@ -243,12 +232,8 @@ class Aim(NamedTuple):
 
 @dataclass(frozen=True)
 class Winner:
-    """An attack that is the worst one for some aims.
-
-    - `letter`, `spoofer`, `setting`, `value`, `spec`: which one;
-    - `aims`: for what;
-    - `displacement` by measure (R,) of the evaluation runs [m].
-    """
+    """An attack that is the worst one for some aims; `displacement` by measure (R,) of the
+    evaluation runs [m]."""
 
     letter: str
     spoofer: str
@@ -261,13 +246,8 @@ class Winner:
 
 @dataclass(frozen=True)
 class Protection:
-    """What the suite achieves against one detector.
-
-    - `head`: detector, suite, selection and campaign, JSON-able;
-    - `winners`: the worst attacks on the evaluation runs;
-    - `counts`, `sky` (R,) which of these runs count, and under which sky;
-    - `skies`: the worst tenth; None where there are too few.
-    """
+    """What the worst attacks of the suite achieve on the evaluation runs against one detector;
+    `counts`, `sky` (R,) of these; `skies`: the worst tenth, None where there are too few."""
 
     head: dict[str, Any]
     winners: tuple[Winner, ...]
@@ -335,16 +315,12 @@ def compute_displacement(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray
 def undetected_displacement(
     error: ArrayLike, first_alarm: ArrayLike, time_to_alert: int
 ) -> FloatArray:
-    r"""Largest error with no alarm up to the time to alert after it.
+    r"""Largest error with no alarm up to the time to alert after it, (R,) [m].
 
     .. math:: D_u = \max_{0 \le k < a - h} e_k, \qquad e_0 = 0
 
-    with the first alarm at epoch a and h epochs to alert: what was induced within h epochs before
-    the alarm, or at it, does not count.
-
-    `error` (K, R) at the epochs 1 to K after the onset [m]; what comes after the alarm may be NaN;
-    `first_alarm` (R,) epoch of the first alarm after the onset, from 1 on; 0 without an
-    alarm up to epoch K + h; returns (R,) [m].
+    with the first alarm at epoch a and h epochs to alert. `error` (K, R) [m] from the first epoch
+    after the onset on, which may be NaN after the alarm; `first_alarm` (R,), 0 for none.
     """
     e = np.asarray(error, dtype=np.float64)
     largest = np.maximum.accumulate(np.concatenate([np.zeros((1, e.shape[1])), e]))

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from ...detectors.calibrated import calibrated_parts, resolve_thresholds
 from ...duel.learner import describe_environment
 from ...envs.context import spoofer_context, warn_of_headings
 from ...envs.factory import DEFAULT_ID, choose_env_id, find_environment, make_setup
-from ...envs.spoofer_binding import SETUPS, find_card_settings, get_tuning_range, monitors_for
+from ...envs.spoofer_binding import find_card_settings, get_tuning_range, monitors_for
 from ...simulation import LooselyCoupledSetup, SnapshotSetup, TightlyCoupledSetup, WheeledRobotSetup
 from ...simulation import loose as loosely_coupled
 from ...simulation import robot as wheeled_robot
@@ -33,14 +33,6 @@ from ...tasks import get_task
 from .play import make_bound_spoofer
 from .players import DEFAULT_DETECTORS, PlayerSpec, specify_policy
 
-
-class Victim(NamedTuple):
-    """Kind of victim, and its detectors in a campaign by default."""
-
-    setup: type[Setup]
-    detectors: tuple[dict[str, Any], ...]
-
-
 CONTROLS = ({"name": "never"}, {"name": "lottery"})
 """Negative controls, which every table of the benchmark has."""
 DEFAULTS: dict[type[Setup], tuple[dict[str, Any], ...]] = {
@@ -49,8 +41,7 @@ DEFAULTS: dict[type[Setup], tuple[dict[str, Any], ...]] = {
     SnapshotSetup: ({"name": "raim"}, {"name": "srv-raim"}),
     WheeledRobotSetup: ({"name": "rio"}, wheeled_robot.DEFAULT_DETECTOR),
 }
-VICTIMS = {env_id: Victim(setup, DEFAULTS[setup]) for env_id, setup in SETUPS.items()}
-"""By environment that has the victim's defaults."""
+"""Detectors of a victim in a campaign."""
 PLAIN_ID = TightlyCoupledSetup.env_id
 """Environment of a world that is given by settings alone."""
 WORLD = (

@@ -48,16 +48,15 @@ PARTS = ("amplitudes", "alarm_amplitude", "alarmed", "sky")  # arrays that are s
 
 @dataclass(frozen=True)
 class AlarmCurve:
-    """What an attack does at J amplitudes around the budget, on the R runs that count.
+    """What an attack does at J `amplitudes`, increasing, around the budget, on the R runs that
+    count.
 
-    - `amplitudes` (J,), increasing, at least one;
-    - `alarm_amplitude` (R,) of each run; the first or the last amplitude where it lies beyond them;
-    - `displacement` by measure (J, R), undetected [m]; `alarmed` (J, R) bool;
-    - `sky` (R,) under which each run flew;
-    - `chosen`: the one of the amplitudes that is at the budget, rounded down to four digits;
-    - `silent_share` of some runs that alarm at no amplitude within the range;
+    - `alarm_amplitude` (R,); the first or the last amplitude where it lies beyond them;
+    - `displacement` by measure (J, R), undetected [m]; `alarmed` (J, R); `sky` (R,) of each run;
+    - `chosen`: that of the amplitudes at the budget; `silent_share` that alarms at none in the
+      range;
     - `elasticity` of amplitude and measures in the threshold, at a constant share of alarms;
-    - `factors` (S,) on the thresholds, as drawn from their calibration, S being `RESAMPLES`; None
+    - `factors` (S,) on the thresholds, as drawn from their calibration, `RESAMPLES` of them; None
       where the threshold is no estimate.
     """
 
@@ -100,8 +99,7 @@ class AlarmCurve:
         """(S,) scores (S, J) of samples at the amplitudes, at one (S,) of each sample."""
         if len(self.amplitudes) == 1:
             return np.asarray(scores[:, 0])
-        place = np.searchsorted(self.amplitudes, at) - 1
-        low = np.clip(place, 0, len(self.amplitudes) - 2)
+        low = np.clip(np.searchsorted(self.amplitudes, at) - 1, 0, len(self.amplitudes) - 2)
         part = (at - self.amplitudes[low]) / np.diff(self.amplitudes)[low]
         each, part = np.arange(len(at)), np.clip(part, 0.0, 1.0)
         return np.asarray((1.0 - part) * scores[each, low] + part * scores[each, low + 1])
@@ -130,15 +128,10 @@ class AlarmCurve:
 
 
 class AtBudget(NamedTuple):
-    """An attack at exactly the alarm budget, with 95 % intervals.
-
-    - `budget`: share of the runs that alarm, by their alarm amplitudes;
-    - `amplitude`: at which they do; `alarm_rate` there, which is less where some runs are silent
-      again above their alarm amplitude;
-    - `displacement` by measure: mean undetected displacement [m];
-    - `within_range`: whether the range of amplitudes reaches down to the budget;
-    - `counted` runs; `silent_share` as of an `AlarmCurve`.
-    """
+    """An attack at exactly the alarm budget, with 95 % intervals: the `amplitude` by alarm
+    amplitudes; the `alarm_rate` there, less where runs are silent again above theirs; mean
+    undetected displacement by measure [m]; `within_range`: whether the amplitudes reach down to the
+    budget."""
 
     budget: float
     amplitude: Estimate
@@ -162,8 +155,7 @@ class AtBudget(NamedTuple):
 
 def _draw(sky: NDArray[np.int64]) -> FloatArray:
     """(1 + S, R) all runs once, and bootstrap samples of them."""
-    drawn = draw_resamples(select_clusters(sky), RESAMPLES)
-    return np.concatenate([np.ones((1, len(sky))), drawn])
+    return np.concatenate([np.ones((1, len(sky))), draw_resamples(select_clusters(sky), RESAMPLES)])
 
 
 def _scores(curve: AlarmCurve, budget: float, samples: FloatArray) -> dict[str, FloatArray]:

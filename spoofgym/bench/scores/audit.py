@@ -38,15 +38,12 @@ GROWN = 1.5  # factor on a threshold from which on it has grown
 
 
 class AgeProbe(NamedTuple):
-    """What a detector makes of the same L ramps in the same R runs at A ages.
+    """What a detector makes of the same L ramps in the same R runs at A ages, `age_s` (A,) from
+    switch-on to the onset [s].
 
-    - `age_s` (A,) from switch-on to the onset [s]; `rate_mps` (L,) of the ramps;
-    - `counts` (A, R) runs that are silent without an attack;
-    - `found`, `crossed`, `missed` (L, A, R) whether there was an alarm, the error passed the alert
-      limit, and passed it with no alarm up to the time to alert after it;
-    - `displacement` (L, A, R) undetected [m];
-    - `threshold` (A,) mean at the onset;
-    - `sky` (R,) under which the runs fly;
+    - `counts` (A, R) runs that are silent without an attack; `found`, `crossed`, `missed` (L, A, R)
+      whether there was an alarm, the error passed the alert limit, and did so with none in time;
+    - `displacement` (L, A, R) undetected [m]; `threshold` (A,) mean at the onset; `sky` (R,);
     - `alike` () whether it said the same of the same epochs twice.
     """
 
@@ -78,8 +75,7 @@ class AgeProbe(NamedTuple):
         """Part of the ramps beyond the alert limit with no alarm in time, over all ages."""
         crossed = self.crossed.sum(axis=(0, 1))
         rows = crossed > 0
-        late = self.missed.sum(axis=(0, 1)) / np.maximum(crossed, 1)
-        return self._estimate_mean(late, rows)
+        return self._estimate_mean(self.missed.sum(axis=(0, 1)) / np.maximum(crossed, 1), rows)
 
     def _estimate_mean(self, values: FloatArray, rows: Mask, least: float = 0.0) -> Estimate:
         return bounded_mean(values[rows], select_clusters(self.sky)[rows], least)
@@ -103,8 +99,7 @@ class AgeProbe(NamedTuple):
                 worse.append((k, less))
         if not worse:
             return
-        blind = (each for each in worse if shares[each[0]] <= BLIND * shares[best])
-        first = next(blind, None)
+        first = next((each for each in worse if shares[each[0]] <= BLIND * shares[best]), None)
         k, (_, low, high) = first or worse[-1]
         words = "finds less the longer it has been switched on"
         if first is not None:
@@ -131,16 +126,9 @@ class AgeProbe(NamedTuple):
 
 @dataclass(frozen=True)
 class Audit:
-    """Audit of one detector in one task.
-
-    - `score`: by families of attacks, and false alarms; `title`: of the task; `budget`: its size;
-    - `requested_per_hour`: rate of false alarms that it is calibrated to; None for thresholds of
-      its own;
-    - `probe`: what it finds at several ages;
-    - `floor_m`: what even a perfect detector allows, by purpose, None where that is not known;
-    - `reference`: stored figures of the best non-learned detector, None where there are none;
-    - `cost_us`: time for an epoch of a receiver [us].
-    """
+    """Audit of one detector in one task: `requested_per_hour`, None for thresholds of its own;
+    `floor_m` that even a perfect detector allows, by purpose, and `reference`, figures of the best
+    non-learned one, None where not known; `cost_us`: time for an epoch of a receiver [us]."""
 
     score: DetectorScore
     title: str

@@ -25,46 +25,16 @@ from numpy.typing import NDArray
 
 from ...detectors.base import MISSED
 from ...spoofers.base import sees_statistics
-from ..runs.record import (
-    MEASURES,
-    STANFORD,
-    Aim,
-    Protection,
-    RunRecord,
-    Winner,
-    compute_upper_quantile,
-)
+from ..runs import record
+from . import scores, statistics
 from .exceeded import draw_exceeded, estimate_exceeded
-from .scores import (
-    ALIKE,
-    SHARES,
-    by_chance,
-    missed_in_time,
-    per_hour,
-    score_stealth,
-    select_clusters,
-    survival,
-)
-from .statistics import (
-    NOTHING,
-    Estimate,
-    bootstrap_mean,
-    clopper_pearson,
-    clustered_proportion,
-    draw_resamples,
-    exceedance,
-    largest_of_share,
-    percentiles,
-    wilson,
-)
 
 NOMINAL = "nominal"  # footing of detectors of which no rate was requested
 
 
 def operating_point(config: Mapping[str, Any], detector: str) -> dict[str, Any]:
-    """What was requested of a detector: ``claimed``, and the ``footing`` of its comparisons. The
-    footing is the rate; ``"nominal"`` where none was requested, and ``"any"`` of a detector that
-    never alarms."""
+    """What was requested of a detector: ``claimed``, and the ``footing`` of its comparisons, the
+    rate; ``"nominal"`` where none was requested, and ``"any"`` of a detector that never alarms."""
     found = config["calibrations"].get(detector, [])
     rates = {point["false_alarms_per_hour"] for point in found}
     claimed = None
@@ -79,14 +49,13 @@ def operating_point(config: Mapping[str, Any], detector: str) -> dict[str, Any]:
     return {"claimed": claimed, "footing": footing}
 
 
-def score_detector(clean: RunRecord) -> dict[str, Any]:
-    """False alarms of a detector and their price, from its runs without attack. Per run, per hour,
-    and per epoch of the window, which is the availability that is lost; in the warm-up; satellites
-    that are blamed without an attack, in satellite seconds an hour, None where channels are not
-    judged; RMS distance from the truth, and the largest while coasting."""
+def score_detector(clean: record.RunRecord) -> dict[str, Any]:
+    """False alarms of a detector and their price, from its runs without attack: availability that
+    is lost; satellites blamed [s an hour], None where channels are not judged; distance from the
+    truth."""
     records, window_s = clean.records, clean.window * clean.interval_s
     warm = int(records["warmup_alarm"].sum())
-    per_run = clopper_pearson(int(clean.alarmed.sum()), clean.runs)
+    per_run = statistics.clopper_pearson(int(clean.alarmed.sum()), clean.runs)
     hours = clean.runs * window_s / 3600.0
     blamed = float(records["blamed"].sum()) * clean.interval_s / hours
     coasting = records["coasting_epochs"] > 0
@@ -94,11 +63,11 @@ def score_detector(clean: RunRecord) -> dict[str, Any]:
         "detector": clean.detector,
         "window_s": window_s,
         "false_alarm_per_run": per_run.as_json(),
-        "false_alarms_per_hour": per_hour(per_run, window_s),
-        "false_alarm_per_epoch": clustered_proportion(
+        "false_alarms_per_hour": scores.per_hour(per_run, window_s),
+        "false_alarm_per_epoch": statistics.clustered_proportion(
             records["alarm_epochs"], clean.window
         ).as_json(),
-        "warmup_alarm_per_run": clopper_pearson(warm, clean.runs).as_json(),
+        "warmup_alarm_per_run": statistics.clopper_pearson(warm, clean.runs).as_json(),
         "blamed_s_per_hour": round(blamed, 4) if clean.head["judges_channels"] else None,
         "navigation_rms_m": float(np.sqrt(np.mean(records["navigation_rms_m"] ** 2)).round(4)),
         "coasting_error_m": compute_mean(records["coasting_error_m"][coasting]),
@@ -106,10 +75,9 @@ def score_detector(clean: RunRecord) -> dict[str, Any]:
     }
 
 
-def score_protection_level(clean: RunRecord) -> dict[str, Any]:
-    """Protection level of a detector that has one, its median over the clean runs, and the parts of
-    the Stanford diagram in which their epochs are; only ``why`` where the attack is longer than
-    the level is for."""
+def score_protection_level(clean: record.RunRecord) -> dict[str, Any]:
+    """Protection level of a detector that has one, median over the clean runs, and the parts of the
+    Stanford diagram; only ``why`` where the attack is longer than the level is for."""
     if "protection_level_m" not in clean.records:
         return {}
     window_s = clean.window * clean.interval_s
@@ -118,8 +86,10 @@ def score_protection_level(clean: RunRecord) -> dict[str, Any]:
         why = f"the attack of {window_s:g} s is longer than the {longest_s:g} s of its bank"
         return {"protection_level": {"why": why}}
     shares = {
-        name: clustered_proportion(clean.records[f"{name}_epochs"], clean.window).as_json()
-        for name in STANFORD
+        name: statistics.clustered_proportion(
+            clean.records[f"{name}_epochs"], clean.window
+        ).as_json()
+        for name in record.STANFORD
     }
     level = round_number(np.median(clean.records["protection_level_m"]))
     return {"protection_level": {"median_m": level, "missed": MISSED, **shares}}
@@ -138,17 +108,18 @@ def compute_mean(x: NDArray[Any]) -> float | None:
 CONTROLS = ("never", "lottery")  # names of the negative controls
 ANY_RATE = "any"  # footing of a detector that never alarms: it has no rate, and is compared at any
 FalseAlarmGroups = Mapping[str, str]
-Gap = tuple[str, str | None, Estimate, float]
+Gap = tuple[str, str | None, statistics.Estimate, float]
 """Score, spoofer, difference of a detector to a control, and the control's own score [m]."""
 
 
 def compare_controls(
-    cells: Sequence[RunRecord], protections: Sequence[Protection], footings: FalseAlarmGroups
+    cells: Sequence[record.RunRecord],
+    protections: Sequence[record.Protection],
+    footings: FalseAlarmGroups,
 ) -> list[dict[str, Any]]:
-    """Paired differences, detector less control, over the runs that count for both. Returns a row
-    for each score: ``score``, ``spoofer`` or None, ``detector``, ``control``, ``difference_m``,
-    ``above`` where its interval lies above 0, ``below`` where it lies below by more than `ALIKE` of
-    what the control lets through."""
+    """Paired differences [m], detector less control, over the runs that count for both: ``above``
+    where the interval lies above 0, ``below`` where it lies below by over `ALIKE` of the control's
+    own."""
     pairs = [(d, c) for c in controls(footings) for d in footings if comparable(footings, d, c)]
     return [
         {
@@ -158,7 +129,7 @@ def compare_controls(
             "control": control,
             "difference_m": difference.as_json(),
             "above": bool(difference.low > 0.0),
-            "below": bool(difference.high < -ALIKE * size),
+            "below": bool(difference.high < -scores.ALIKE * size),
         }
         for detector, control in pairs
         for score, spoofer, difference, size in (
@@ -186,7 +157,7 @@ def comparable(footings: FalseAlarmGroups, detector: str, other: str) -> bool:
 
 
 def _compare_displacements(
-    cells: Sequence[RunRecord], detector: str, control: str
+    cells: Sequence[record.RunRecord], detector: str, control: str
 ) -> Iterator[Gap]:
     by_pair = {(cell.detector, cell.spoofer): cell for cell in cells}
     for (label, spoofer), mine in by_pair.items():
@@ -198,32 +169,32 @@ def _compare_displacements(
             continue
         gap = mine.displacement_m - theirs.displacement_m
         both = mine.counts & theirs.counts
-        samples = draw_resamples(select_clusters(mine.sky)[both])
-        difference = bootstrap_mean(gap[both], samples)
+        samples = statistics.draw_resamples(scores.select_clusters(mine.sky)[both])
+        difference = statistics.bootstrap_mean(gap[both], samples)
         size = float(theirs.displacement_m[both].mean()) if both.any() else 0.0
         yield STEALTHY, spoofer, difference, size
 
 
 def _compare_protections(
-    protections: Sequence[Protection], detector: str, control: str
+    protections: Sequence[record.Protection], detector: str, control: str
 ) -> Iterator[Gap]:
     """Displacement that the worst attack exceeds, by share."""
     by_label = {each.detector: each for each in protections}
     mine, theirs = by_label.get(detector), by_label.get(control)
     if mine is None or theirs is None:
         return
-    for share in SHARES:
-        aim = Aim(MEASURES[0], share)
+    for share in scores.SHARES:
+        aim = record.Aim(record.MEASURES[0], share)
         both = mine.counts & theirs.counts
-        samples = draw_resamples(select_clusters(mine.sky)[both])
+        samples = statistics.draw_resamples(scores.select_clusters(mine.sky)[both])
         x, y = (
             aim.score_displacement(each.worst(aim).displacement[aim.measure][both])
             for each in (mine, theirs)
         )
-        difference = NOTHING
+        difference = statistics.NOTHING
         if both.any():
             drawn = [draw_exceeded(each, aim, both, samples) for each in (mine, theirs)]
-            difference = percentiles(x - y, drawn[0] - drawn[1])
+            difference = statistics.percentiles(x - y, drawn[0] - drawn[1])
         yield f"protection {100 * share:g} %", None, difference, y
 
 
@@ -246,16 +217,10 @@ def compute_bounds(
     protection: Row | None,
     searches: Sequence[Row],
 ) -> Row:
-    """Bracket of a detector, JSON-able.
-
-    `point`: ``detector``, and the ``claimed`` rate and ``footing`` of `operating_point`; `limits`:
-    of the campaign; `cells`, `protection`, `searches`: scores of the detector's cells, of its
-    protection, and what was tuned against it.
-
-    Returns ``floor_m`` by score, None where it has none; ``best_attack`` within the budget and
-    ``open_loop``; ``zero_alarm``; ``search_failed``, scores below their floor; and
-    ``above_zero_alarm``, attacks whose mean is above the bound.
-    """
+    """Bracket of a detector, JSON-able, by its scores and what was tuned against it; `point`: the
+    rate of `operating_point`. ``floor_m`` by score; ``best_attack`` within the budget and
+    ``open_loop``; ``zero_alarm``; ``search_failed``, scores below their floor;
+    ``above_zero_alarm``, attacks whose mean is above that bound."""
     floors = select_lower_limits(point, limits["floor"])
     attacks = [cell for cell in cells if cell["spoofer"] != "none"]
     found = [_score_attack(cell) for cell in attacks]
@@ -323,8 +288,7 @@ def _optimum(cells: Sequence[Row], searches: Sequence[Row]) -> Row | None:
     if not found:
         return None
     best = max(found, key=lambda each: (each["within_budget"], float(each["value"])))
-    found_by = {each["spoofer"]: each["found"] or {} for each in searches}
-    search = found_by.get(best["spoofer"], {})
+    search = {each["spoofer"]: each["found"] or {} for each in searches}.get(best["spoofer"], {})
     return {**best, "by": search.get("by"), "unbeaten_start": search.get("unbeaten_start")}
 
 
@@ -358,13 +322,13 @@ def _above(reached: Row, bound: Row) -> bool:
 SURVIVAL_TIMES = 8  # at how many times the share of undetected attacks is reported
 
 
-def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[str, Any]:
+def score_runs(cell: record.RunRecord, limits: Sequence[float], budget: float) -> dict[str, Any]:
     """Scores of one cell; `limits` of the P_HMI curve [m]."""
     counts = cell.counts
-    stealth = score_stealth(cell.displacement_m, cell.alarmed, counts)
+    stealth = scores.score_stealth(cell.displacement_m, cell.alarmed, counts)
     displacement = cell.displacement_m[counts]
     zeroed = np.where(cell.alarmed[counts], 0.0, displacement)
-    samples = draw_resamples(select_clusters(cell.sky)[counts])
+    samples = statistics.draw_resamples(scores.select_clusters(cell.sky)[counts])
     return {
         "detector": cell.detector,
         "spoofer": cell.spoofer,
@@ -375,17 +339,19 @@ def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[
         "runs": cell.runs,
         "counted": stealth.runs,
         "silent_before_onset": float((~cell.records["warmup_alarm"]).mean().round(6)),
-        "alarm_rate": wilson(stealth.alarms, stealth.runs).as_json(),
+        "alarm_rate": statistics.wilson(stealth.alarms, stealth.runs).as_json(),
         "within_budget": stealth.seems_to_keep(budget),
-        "stealthy_displacement_m": bootstrap_mean(displacement, samples).as_json(),
+        "stealthy_displacement_m": statistics.bootstrap_mean(displacement, samples).as_json(),
         "exceeded_m": {
-            f"{x:g}": estimate_reach(displacement, x, samples).as_json() for x in SHARES
+            f"{x:g}": estimate_reach(displacement, x, samples).as_json() for x in scores.SHARES
         },
-        "alarmed_as_0_m": bootstrap_mean(zeroed, samples).as_json(),
+        "alarmed_as_0_m": statistics.bootstrap_mean(zeroed, samples).as_json(),
         "largest_error_m": float(cell.records["largest_error_m"].mean().round(4)),
         "p_hmi": [
             {"alert_limit_m": limit, **estimate.as_json()}
-            for limit, estimate in zip(limits, exceedance(displacement, limits), strict=True)
+            for limit, estimate in zip(
+                limits, statistics.exceedance(displacement, limits), strict=True
+            )
         ],
         **compute_times(cell),
     }
@@ -393,29 +359,26 @@ def score_runs(cell: RunRecord, limits: Sequence[float], budget: float) -> dict[
 
 def estimate_reach(
     displacement: NDArray[Any], part: float, samples: NDArray[np.float64]
-) -> Estimate:
+) -> statistics.Estimate:
     """What is exceeded in a part of the runs [m], with its 95 % interval."""
     if not len(displacement):
-        return NOTHING
-    drawn = largest_of_share(displacement, part, samples)
-    return percentiles(compute_upper_quantile(displacement, part), drawn)
+        return statistics.NOTHING
+    drawn = statistics.largest_of_share(displacement, part, samples)
+    return statistics.percentiles(record.compute_upper_quantile(displacement, part), drawn)
 
 
-def compute_times(cell: RunRecord) -> dict[str, Any]:
-    """When the attack was noticed, of the runs that are silent before the onset.
-
-    ``missed``: of the runs that count whose error crosses the alert limit, those without an alarm
-    up to the time to alert after; ``after_crossing_s``: of the same, median from the crossing to
-    the alarm; ``detected`` and ``chance``: alarms by the end, by what raised them; ``delay_s``:
-    median from the onset to a detection; ``survival``: share still undetected by time.
-    """
+def compute_times(cell: record.RunRecord) -> dict[str, Any]:
+    """When the attack was noticed, of the runs that are silent before the onset: ``missed`` of
+    those whose error crosses the alert limit, up to the time to alert after; ``after_crossing_s``,
+    their median time from there to the alarm; ``detected`` and ``chance`` by the end; ``delay_s``,
+    median from the onset to a detection; ``survival``, share still undetected by time."""
     records, step = cell.records, cell.interval_s
     silent = ~records["warmup_alarm"]
     first, twin = records["first_alarm"][silent], records["twin_alarm"][silent]
-    chance = by_chance(first, twin)
+    chance = scores.by_chance(first, twin)
     detected = (first > 0) & ~chance
     alarm, crossing = records["first_alarm"][cell.counts], records["crossing"][cell.counts]
-    missed = missed_in_time(alarm, crossing, int(cell.head["hold"]))
+    missed = scores.missed_in_time(alarm, crossing, int(cell.head["hold"]))
     horizon = cell.window * step
     # a run is observed up to its alarm by chance, or up to that of its twin
     seen = np.where(twin > 0, twin * step, horizon)
@@ -423,18 +386,18 @@ def compute_times(cell: RunRecord) -> dict[str, Any]:
     times = np.linspace(0.0, horizon, SURVIVAL_TIMES + 1)[1:]
     late = (alarm - crossing)[(alarm > 0) & (crossing > 0)] * step
     found: dict[str, Any] = {
-        "missed": wilson(int(missed.sum()), len(missed)).as_json(),
-        "detected": wilson(int(detected.sum()), len(first)).as_json(),
-        "chance": wilson(int(chance.sum()), len(first)).as_json(),
+        "missed": statistics.wilson(int(missed.sum()), len(missed)).as_json(),
+        "detected": statistics.wilson(int(detected.sum()), len(first)).as_json(),
+        "chance": statistics.wilson(int(chance.sum()), len(first)).as_json(),
         "delay_s": _median(
-            first[detected] * step, select_clusters(cell.sky)[silent][detected]
+            first[detected] * step, scores.select_clusters(cell.sky)[silent][detected]
         ).as_json(),
         "after_crossing_s": round_number(np.median(late)) if len(late) else None,
         "horizon_s": horizon,
         "survival": [],
     }
     if len(first) and cell.spoofer != "none":
-        curve = survival(delay, detected, times)
+        curve = scores.survival(delay, detected, times)
         rows = zip(*curve, strict=True)
         found["survival"] = [
             dict(zip(curve._fields, map(round_number, row), strict=True)) for row in rows
@@ -442,18 +405,17 @@ def compute_times(cell: RunRecord) -> dict[str, Any]:
     return found
 
 
-def _median(x: NDArray[Any], clusters: NDArray[np.int64]) -> Estimate:
+def _median(x: NDArray[Any], clusters: NDArray[np.int64]) -> statistics.Estimate:
     """Median with a percentile interval, by resamples of these runs alone."""
     if not len(x):
-        return NOTHING
-    drawn = largest_of_share(x, 0.5, draw_resamples(clusters))
-    return percentiles(float(np.median(x)), drawn)
+        return statistics.NOTHING
+    drawn = statistics.largest_of_share(x, 0.5, statistics.draw_resamples(clusters))
+    return statistics.percentiles(float(np.median(x)), drawn)
 
 
-def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, Any]:
-    """Protection of a detector: what the worst attacks exceed, and P(HMI | attack). The worst of
-    all winners counts, whatever each was chosen for, so that P(HMI | attack) never grows with the
-    limit, nor does what is exceeded with the share, and neither contradicts the other."""
+def score_protection(found: record.Protection, limits: Sequence[float]) -> dict[str, Any]:
+    """What the worst attacks exceed, and P(HMI | attack). The worst of all winners counts, whatever
+    each was chosen for, so that no figure contradicts another."""
     aims = [aim for winner in found.winners for aim in winner.aims]
     searched = sorted({aim.limit_m for aim in aims if aim.limit_m is not None} & set(limits))
     skies = None if found.skies is None else len(found.skies)
@@ -470,29 +432,28 @@ def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, An
     }
 
 
-def _score_aim(found: Protection, aim: Aim) -> dict[str, Any]:
+def _score_aim(found: record.Protection, aim: record.Aim) -> dict[str, Any]:
     """What the worst attack exceeds in a share of the runs."""
     assert aim.share is not None  # as chosen by the caller
     winner, rows = found.worst(aim), found.rows(aim)
     # the worst skies are few, and the interval is for these alone
-    alike = np.arange(len(found.sky)) if aim.skies else select_clusters(found.sky)
-    estimate = estimate_exceeded(found, aim, draw_resamples(alike[rows]))
+    alike = np.arange(len(found.sky)) if aim.skies else scores.select_clusters(found.sky)
+    estimate = estimate_exceeded(found, aim, statistics.draw_resamples(alike[rows]))
     everywhere = found.score_worst(aim._replace(skies=False))
-    if aim.skies and estimate.value < (1.0 - ALIKE) * everywhere:
-        estimate = NOTHING  # the few runs of the choice have not found the worst skies
+    if aim.skies and estimate.value < (1.0 - scores.ALIKE) * everywhere:
+        estimate = statistics.NOTHING  # the few runs of the choice have not found the worst skies
     value = estimate.as_json()
     named = {"measure": aim.measure, "share": aim.share, "worst_skies": aim.skies}
     return {**named, "runs": int(rows.sum()), **value, **_attack(winner)}
 
 
-def score_hazard(found: Protection, measure: str, limit: float) -> dict[str, Any]:
+def score_hazard(found: record.Protection, measure: str, limit: float) -> dict[str, Any]:
     """P(HMI | attack) at an alert limit [m]."""
-    aim = Aim(measure, limit_m=limit)
-    winner = found.worst(aim)
-    (p,) = exceedance(winner.displacement[measure][found.counts], [limit])
+    winner = found.worst(record.Aim(measure, limit_m=limit))
+    (p,) = statistics.exceedance(winner.displacement[measure][found.counts], [limit])
     return {"measure": measure, "alert_limit_m": limit, **p.as_json(), **_attack(winner)}
 
 
-def _attack(winner: Winner) -> dict[str, Any]:
+def _attack(winner: record.Winner) -> dict[str, Any]:
     named = {"letter": winner.letter, "spoofer": winner.spoofer}
     return {**named, "setting": winner.setting, "at": winner.value}

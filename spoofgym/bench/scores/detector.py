@@ -11,16 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runs.record import MEASURES, Aim, Protection, Winner
+from . import statistics
 from .exceeded import estimate_exceeded
 from .scores import SHARES, per_hour, select_clusters
-from .statistics import (
-    Estimate,
-    FloatArray,
-    clopper_pearson,
-    draw_resamples,
-    exceedance,
-    percentiles,
-)
 
 WINDOW, CLEAN = "clean, judged window", "clean"
 """Names of false alarms without an event: in the judged window alone, and in all monitored time."""
@@ -48,19 +41,21 @@ class FamilyScore(NamedTuple):
         return self.protection.worst(self.aim)
 
     @property
-    def p_hmi(self) -> Estimate:
+    def p_hmi(self) -> statistics.Estimate:
         moved = self.attack.displacement[MEASURES[0]][self.protection.counts]
-        return exceedance(moved, [self.alert_limit_m])[0]
+        return statistics.exceedance(moved, [self.alert_limit_m])[0]
 
-    def estimate_quantile(self, share: float) -> Estimate:
+    def estimate_quantile(self, share: float) -> statistics.Estimate:
         """What the worst attack exceeds in a share of the runs [m], with its 95 % interval."""
         clusters = select_clusters(self.protection.sky)[self.protection.counts]
-        return estimate_exceeded(self.protection, Aim(MEASURES[0], share), draw_resamples(clusters))
+        return estimate_exceeded(
+            self.protection, Aim(MEASURES[0], share), statistics.draw_resamples(clusters)
+        )
 
-    def resample_hmi(self) -> FloatArray:
+    def resample_hmi(self) -> statistics.FloatArray:
         """(S,) probability of hazardously misleading information under attack, in each bootstrap
         sample of the runs; every detector has the same samples."""
-        samples = draw_resamples(select_clusters(self.protection.sky))
+        samples = statistics.draw_resamples(select_clusters(self.protection.sky))
         counts = self.protection.counts
         hazard = (self.attack.displacement[MEASURES[0]] > self.alert_limit_m) & counts
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -86,14 +81,10 @@ class FamilyScore(NamedTuple):
 class DetectorScore:
     """What a detector is worth in a task; paired with every other one of the same runs.
 
-    - `task`, `detector`: which ones;
-    - `alert_limit_m`: error that must not be exceeded unnoticed [m];
     - `runs`, `selection_runs`, `entropy`: evaluation runs of every family, those that attacks were
       chosen on, and the seed of all, None of a log, where nothing is drawn;
-    - `families`: scores by family; the worst one counts;
-    - `false_alarms` (R,) bool by name: runs without an attack that alarm, in the judged window
-      alone, and in all monitored time, without an event and with one;
-    - `window_s`: length of the judged window.
+    - `families`: scores of each, the worst of which counts; `false_alarms` (R,) bool by name: runs
+      without an attack that alarm; `window_s`: length of the judged window.
     """
 
     task: str
@@ -118,10 +109,10 @@ class DetectorScore:
         return max(self.families, key=badness)
 
     @property
-    def p_hmi(self) -> Estimate:
+    def p_hmi(self) -> statistics.Estimate:
         return self.worst.p_hmi
 
-    def estimate_quantile(self, share: float) -> Estimate:
+    def estimate_quantile(self, share: float) -> statistics.Estimate:
         """Largest over the families of what is exceeded in a share of the runs [m]."""
         found = [each.estimate_quantile(share) for each in self.families]
         return max(found, key=lambda each: -math.inf if math.isnan(each.value) else each.value)
@@ -133,36 +124,37 @@ class DetectorScore:
         played = ", ".join(each.family for each in self.families)
         raise ValueError(f"{self.detector} has not met the family {key!r}; played: {played}")
 
-    def false_alarm_rate(self, name: str = WINDOW) -> Estimate:
+    def false_alarm_rate(self, name: str = WINDOW) -> statistics.Estimate:
         """Share of the runs without an attack that alarm, with its exact 95 % interval."""
         alarmed = self.false_alarms[name]
-        return clopper_pearson(int(alarmed.sum()), len(alarmed))
+        return statistics.clopper_pearson(int(alarmed.sum()), len(alarmed))
 
-    def difference_to(self, other: DetectorScore, family: str | None = None) -> Estimate:
-        """P(HMI | attack) less that of another detector, paired by sky, with a 95 % interval.
-        Both use the same runs, except in ``chance-alarm``, where each has its own. It compares the
-        worst family of each, or `family`. Raises a ValueError where the task, `runs`, `entropy` or
-        the families of the two differ."""
-        mine, theirs = self._samples(family), other._samples(family)
-        self._check_paired(other)
-        return percentiles(mine[0] - theirs[0], mine[1] - theirs[1])
+    def difference_to(self, other: DetectorScore, family: str | None = None) -> statistics.Estimate:
+        """P(HMI | attack) of the worst family of each, or of `family`, less that of another
+        detector, paired by sky. Both have the same runs, except in ``chance-alarm``; a ValueError
+        where they have not."""
+        mine, theirs = self._draw_pair(other, family)
+        return statistics.percentiles(mine[0] - theirs[0], mine[1] - theirs[1])
 
-    def ratio_to(self, other: DetectorScore, family: str | None = None) -> Estimate:
+    def ratio_to(self, other: DetectorScore, family: str | None = None) -> statistics.Estimate:
         """P(HMI | attack) in parts of that of another detector; as `difference_to`. Unknown where
         the other one's is 0."""
-        mine, theirs = self._samples(family), other._samples(family)
-        self._check_paired(other)
+        mine, theirs = self._draw_pair(other, family)
         with np.errstate(divide="ignore", invalid="ignore"):
             drawn = mine[1] / theirs[1]
-        return percentiles(mine[0] / theirs[0] if theirs[0] > 0.0 else math.nan, drawn)
+        return statistics.percentiles(mine[0] / theirs[0] if theirs[0] > 0.0 else math.nan, drawn)
 
-    def _samples(self, family: str | None) -> tuple[float, FloatArray]:
+    def _samples(self, family: str | None) -> tuple[float, statistics.FloatArray]:
         """P(HMI | attack), and (S,) the same in bootstrap samples, each with its worst family."""
         chosen = self.families if family is None else (self.family(family),)
         value = float(np.max([each.p_hmi.value for each in chosen]))  # NaN where nothing counts
         return value, np.max([each.resample_hmi() for each in chosen], axis=0)
 
-    def _check_paired(self, other: DetectorScore) -> None:
+    def _draw_pair(
+        self, other: DetectorScore, family: str | None
+    ) -> tuple[tuple[float, statistics.FloatArray], tuple[float, statistics.FloatArray]]:
+        """Samples of both, which have to have played the same runs."""
+        drawn = self._samples(family), other._samples(family)
         names = ("task", "runs", "entropy")
         unlike = [n for n in names if getattr(self, n) != getattr(other, n)]
         if [each.family for each in self.families] != [each.family for each in other.families]:
@@ -172,6 +164,7 @@ class DetectorScore:
                 f"{self.detector} and {other.detector} have not played the same runs: "
                 + "; ".join(f"`{name}` differ" for name in unlike)
             )
+        return drawn
 
     def as_dict(self) -> dict[str, Any]:
         plain = ("task", "detector", "alert_limit_m", "runs", "selection_runs", "entropy")

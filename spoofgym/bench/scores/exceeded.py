@@ -77,8 +77,7 @@ def _draw_between(between: Between, aim: Aim, samples: FloatArray, least: float)
     x, y = near > least, far > least
     weights = [(1.0 - part) * samples[:, x], part * samples[:, y]]
     rest = samples.sum(axis=1) - sum(each.sum(axis=1) for each in weights)
-    moved = np.concatenate([near[x], far[y], [least]])
-    return _draw(moved, aim, np.column_stack([*weights, rest]))
+    return _draw(np.concatenate([near[x], far[y], [least]]), aim, np.column_stack([*weights, rest]))
 
 
 def _list_between(

@@ -90,9 +90,8 @@ def checked_payoff(payoff: ArrayLike) -> FloatArray:
 
 
 def gains(payoff: ArrayLike, spoofer: ArrayLike, detector: ArrayLike) -> tuple[float, float]:
-    """Most that each side gains within the matrix by leaving a pair of mixes alone. `payoff`: (m,
-    n); `spoofer`, `detector`: (m,) and (n,) probabilities; returns `spoofer, detector`, not
-    negative; their sum is the exploitability within the matrix."""
+    """Most that each side gains within the matrix (m, n) by leaving a pair of mixes (m,), (n,): not
+    negative; the sum is the exploitability within the matrix."""
     a, x, y = checked_payoff(payoff), np.asarray(spoofer), np.asarray(detector)
     value = float(x @ a @ y)
     return float((a @ y).max()) - value, value - float((x @ a).min())
@@ -117,9 +116,8 @@ class Spread(NamedTuple):
 
 
 def bootstrap_equilibrium(payoff: ArrayLike, resampled: ArrayLike) -> Spread:
-    """Solve a game again in every bootstrap sample. `payoff`: (m, n) of all runs; `resampled`: (S,
-    m, n) of the samples; those with an entry that is no number are left out; returns percentile
-    intervals, 95 %."""
+    """Solve a game (m, n) again in every bootstrap sample (S, m, n) without gaps: 95 %
+    intervals."""
     found, drawn = solve(payoff), np.asarray(resampled, dtype=np.float64)
     shape = len(found.spoofer), len(found.detector)
     if drawn.ndim != 3 or drawn.shape[1:] != shape:
@@ -188,14 +186,9 @@ class RunPayoff:
 
 @dataclass(frozen=True, repr=False)
 class PayoffMatrix:
-    """Payoffs of rows, spoofers, against columns, detectors; all on the same runs.
-
-    - `spoofers`, `detectors`: strategies; `payoff`: what a run is worth;
-    - `rows` (m, p), `columns` (n, q): weights of the pure `members` in each of them;
-    - `displacement`, `alarmed` (p, q, R), `counts` (q, R): of the pure ones;
-    - `sky` (R,) under which each run flew;
-    - `seeds`: entropy and split of the runs.
-    """
+    """Payoffs of strategies, spoofers by rows and detectors by columns, on the same runs of `sky`
+    (R,). `rows` (m, p), `columns` (n, q): weights of the pure members in each of them, of which
+    `displacement`, `alarmed` (p, q, R) and `counts` (q, R) are; `seeds`: entropy and split."""
 
     spoofers: tuple[Strategy, ...]
     detectors: tuple[Strategy, ...]

@@ -33,12 +33,7 @@ from scipy import stats
 
 from ...detectors.calibration_file import hourly_rate
 from ..runs.record import Mask
-from .statistics import (
-    CONFIDENCE,
-    Estimate,
-    FloatArray,
-    alarm_limit,
-)
+from .statistics import CONFIDENCE, Estimate, FloatArray, alarm_limit
 
 SHARES = (0.5, 0.05)  # shares of the runs in which the headlines' displacements are exceeded
 WORST_SKIES = 0.1  # part of the skies from which an attacker picks the day
@@ -93,9 +88,8 @@ def worst_skies(displacement: ArrayLike, sky: ArrayLike) -> NDArray[np.int64] | 
 
 
 def select_clusters(sky: ArrayLike) -> NDArray[np.int64]:
-    """Which runs a bootstrap draws together: those under one sky, where there are ten or more. With
-    fewer skies it draws single runs, and its intervals are for these skies alone. `sky` (R,) of
-    each run of a campaign, whether it counts or not."""
+    """(R,) which runs a bootstrap draws together: those under one sky, where there are ten or more,
+    else single runs, so that intervals are for these skies alone."""
     under = np.asarray(sky, dtype=np.int64)
     return under if len(np.unique(under)) >= FEWEST_SKIES else np.arange(len(under))
 
@@ -117,9 +111,8 @@ def by_chance(first_alarm: ArrayLike, twin_alarm: ArrayLike) -> Mask:
 
 
 def missed_in_time(first_alarm: ArrayLike, crossing: ArrayLike, time_to_alert: int) -> Mask:
-    """Of the runs that cross the alert limit, (R',) bool: no alarm up to the time to alert after.
-    `first_alarm`, `crossing` (R,) epochs of the first alarm, and of the first error above the
-    limit, 0 for none."""
+    """(R',) of the runs that cross the alert limit: no alarm up to the time to alert after. Epochs
+    (R,) of the first alarm, and of the first error above the limit, 0 for none."""
     mine, at = np.asarray(first_alarm), np.asarray(crossing)
     crossed = at > 0
     return np.asarray((mine[crossed] == 0) | (mine[crossed] > at[crossed] + time_to_alert))

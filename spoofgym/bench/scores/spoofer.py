@@ -18,23 +18,17 @@ from .statistics import Estimate, FloatArray, draw_resamples, interval, percenti
 class SpooferScore:
     """What a spoofer is worth against one detector; paired with every other one of the same runs.
 
-    - `task`, `world`, `detector`, `spoofer`: what it met, the world by its environment and what
-      differs from it, and its name;
-    - `knowledge`: what it observes while it attacks;
-    - `setting`, `value`: what was fitted, or given, and to what; None where nothing can be;
-    - `runs`, `counted`: evaluation runs, and those that are silent before the onset and without an
-      attack, over which all else is taken;
-    - `stealthy_displacement_m`: mean undetected displacement with its 95 % interval [m];
-    - `alarm_rate`: part of the runs with an alarm, with its 95 % interval; `clean_alarm_rate`, of
-      all runs without an attack;
-    - `budget`: largest rate that is allowed; `within_budget`, whether it is met on the evaluation
-      runs, by the rate itself, and always where the displacement is one at exactly the budget;
-    - `fit_within_budget`: the same on the training runs, by the upper 95 % limit of the rate; None
-      where nothing was fitted;
-    - `displacement_m` (R,) of each run [m]; `counts` (R,) bool, whether it counts; `sky` (R,) under
-      which it flew; `alarmed` (R,) bool; `twins`: digest of the same runs without an attack;
-    - `at_budget`: score at exactly the budget, with total and vertical errors, where the amplitude
-      was fitted to it; its displacement is the stealthy one, with the interval of the fit.
+    - `knowledge`: what it observes while it attacks; `setting`, `value`: what was fitted, or given,
+      and to what; None where nothing can be;
+    - `counted`: of the `runs`, those that are silent before the onset and without an attack, over
+      which all else is taken but `clean_alarm_rate`;
+    - `within_budget`: whether the `budget`, the largest `alarm_rate` allowed, is met on the
+      evaluation runs by the rate itself, always at exactly the budget; `fit_within_budget`: on the
+      training runs, by its upper 95 % limit; None where nothing was fitted;
+    - (R,) of each run `displacement_m`, `alarmed`, `counts`, `sky`; `twins`: digest of the clean
+      ones;
+    - `at_budget`: where the amplitude was fitted to exactly the budget, the score there with total
+      and vertical errors; its displacement is the stealthy one, with the interval of the fit.
     """
 
     task: str | None
@@ -70,10 +64,9 @@ class SpooferScore:
         return sees_statistics(self.knowledge)
 
     def ratio_to(self, other: SpooferScore, *, oracles: bool = False) -> Estimate:
-        """Displacement relative to another spoofer's on the same runs, with a paired 95 % interval,
-        which is that of the runs at the amplitudes that were found.
-        Raises a ValueError where the runs are not the same, or where only one of the two is an
-        oracle and `oracles` is not set."""
+        """Displacement relative to another spoofer's on the same runs, paired, at the amplitudes
+        that were found. A ValueError where runs differ, or one alone is an oracle and `oracles` is
+        not set."""
         if self.oracle != other.oracle and not oracles:
             raise ValueError(
                 f"{self.spoofer} ({self.knowledge}) can't be compared with {other.spoofer} "

@@ -31,8 +31,8 @@ RESAMPLES = 2000
 
 
 class Estimate(NamedTuple):
-    """A number and the interval around it. `value`, `low`, `high`: estimate and interval; NaN where
-    there is nothing to estimate from, and `high` alone where nothing bounds it."""
+    """A number and the ends of its interval; NaN where there is nothing to estimate from, and
+    `high` alone where nothing bounds it."""
 
     value: float
     low: float
@@ -40,8 +40,7 @@ class Estimate(NamedTuple):
 
     @classmethod
     def of(cls, data: Mapping[str, float | None]) -> Estimate:
-        numbers = {key: math.nan if (x := data[key]) is None else x for key in cls._fields}
-        return cls(**numbers)
+        return cls(**{key: math.nan if (x := data[key]) is None else x for key in cls._fields})
 
     def as_json(self) -> dict[str, float | None]:
         return {
@@ -107,19 +106,10 @@ def clopper_pearson(events: float, trials: float) -> Estimate:
 
 
 def clustered_proportion(events: ArrayLike, trials: int) -> Estimate:
-    r"""Proportion of epochs, which come in runs, with an exact interval for as many as they count.
-
-    Alarms of one run hang together, so that its epochs are worth less than as many independent
-    ones: by the design effect, the variance between runs over that of independent epochs,
-
-    .. math:: D = \frac{\operatorname{var}(p_r) / R}{\hat p (1 - \hat p) / (R K)}, \qquad
-        n = R K / \max(D, 1)
-
-    Without any event, or without anything else, the design effect is unknown, and only the runs
-    count, n = R.  Korn and Graubard's small correction by quantiles of t is left out.
-
-    `events` (R,) epochs with an alarm in each run.
-    """
+    r"""Proportion of epochs (R,), which come in runs, with an exact interval for as many as they
+    count, by the design effect (`korn1998`, without their correction by quantiles of t): the
+    variance between runs over that of independent epochs. Without any event, or anything else, only
+    the runs count."""
     per_run = np.asarray(events, dtype=np.float64)
     runs = len(per_run)
     if runs == 0 or trials == 0:
@@ -135,9 +125,8 @@ def clustered_proportion(events: ArrayLike, trials: int) -> Estimate:
 
 
 def resamples(clusters: ArrayLike, rng: np.random.Generator, count: int = RESAMPLES) -> FloatArray:
-    """Bootstrap samples of runs: how often each one is drawn, (S, R). `clusters` (R,): which runs
-    are drawn together, as those under one sky are alike; whole clusters are drawn with replacement,
-    as many as there are. With one run in every cluster it is the ordinary bootstrap."""
+    """(S, R) how often bootstrap samples draw each run: whole clusters (R,), such as skies, are
+    drawn with replacement, as many as there are."""
     names, where = np.unique(np.asarray(clusters), return_inverse=True)
     if not len(names):
         return np.zeros((count, 0))
@@ -185,8 +174,8 @@ def bounded_mean(values: ArrayLike, clusters: ArrayLike, least: float) -> Estima
 
 
 def largest_of_share(values: ArrayLike, share: float, samples: FloatArray) -> FloatArray:
-    """In each bootstrap sample the largest value that is reached in at least a share of the runs.
-    `values` (R,), at least one; `samples` (S, R) of `resamples`; returns (S,)."""
+    """(S,) largest value of (R,) that at least a share of the runs reach, in bootstrap samples (S,
+    R)."""
     x = np.asarray(values, dtype=np.float64)
     order = np.argsort(-x, kind="stable")
     reached = np.cumsum(samples[:, order], axis=1)
@@ -195,9 +184,8 @@ def largest_of_share(values: ArrayLike, share: float, samples: FloatArray) -> Fl
 
 
 def weighted_quantile(values: ArrayLike, share: float, samples: FloatArray) -> FloatArray:
-    """In each bootstrap sample the largest value that at most a share of the runs does not exceed,
-    between two of them in proportion. `values` (R,), at least one; `samples` (S, R) of `resamples`;
-    returns (S,)."""
+    """(S,) largest value of (R,) that at most a share of the runs does not exceed, between two of
+    them in proportion, in bootstrap samples (S, R)."""
     x = np.asarray(values, dtype=np.float64)
     order = np.argsort(x, kind="stable")
     below = np.cumsum(samples[:, order], axis=1)
@@ -220,9 +208,8 @@ def percentiles(value: float, drawn: FloatArray) -> Estimate:
 
 
 def exceedance(values: ArrayLike, levels: ArrayLike) -> list[Estimate]:
-    """Probability that a value exceeds each level, with Wilson's interval. `values` (R,), such as
-    undetected displacements: then it is the probability of hazardously misleading information by
-    alert limit; `levels` (L,); returns (L,)."""
+    """Probability that a value (R,) exceeds each level (L,), with Wilson's interval; of undetected
+    displacements that is P(HMI) by alert limit."""
     x = np.asarray(values, dtype=np.float64)
     each = np.asarray(levels, dtype=np.float64)
     return [wilson(int(np.sum(x > level)), len(x)) for level in each]

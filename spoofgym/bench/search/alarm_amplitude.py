@@ -28,16 +28,9 @@ from ...spoofers import make_spoofer
 from ..runs.panel import Panel, PanelAttack
 from ..runs.players import PlayerSpec
 from ..runs.record import MEASURES, Mask, measure_displacement, undetected_displacement
+from ..scores import statistics
 from ..scores.at_budget import AMPLITUDE, AlarmCurve, compute_at_budget, score_at_budget
 from ..scores.scores import Stealth, select_clusters
-from ..scores.statistics import (
-    RESAMPLES,
-    FloatArray,
-    build_log_grid,
-    draw_resamples,
-    rounded_down,
-    weighted_quantile,
-)
 from .amplitude import Trial, Tuning, TuningResult
 from .backends import ReplayBackend, Rows
 
@@ -49,15 +42,12 @@ ERRORS, LEAST = 4.0, 0.2
 the budget that is far enough below it."""
 FACTOR, FACTOR_RUNS = 1.1, 128
 """On the thresholds, for the elasticity of a score, and how many runs it is taken from at most."""
-Played = tuple[Mask, dict[str, FloatArray]]
+Played = tuple[Mask, dict[str, statistics.FloatArray]]
 """Which runs alarm (R,), and their undetected displacement by measure (R,) [m]."""
 
 
 class AttackedRuns(Protocol):
-    """Runs that count, and an attack on them at any value of its setting.
-
-    - `span`: smallest and largest value; `sky` (R,) of each run.
-    """
+    """Runs that count, in `sky` (R,), and an attack at any value of its setting within a `span`."""
 
     span: tuple[float, float]
     sky: NDArray[np.int64]
@@ -68,7 +58,7 @@ class AttackedRuns(Protocol):
     def sift(self, values: Sequence[float], count: int) -> Mask:
         """(V, r) whether the first runs, about so many, alarm at some values."""
 
-    def alarms(self, values: FloatArray, rows: Rows) -> Mask:
+    def alarms(self, values: statistics.FloatArray, rows: Rows) -> Mask:
         """(r,) whether some runs alarm, each at its own value."""
 
 
@@ -100,7 +90,7 @@ class EngineRuns:
         rows = self.rows[self.rows < count]
         return np.array([runs.first_alarm[rows] > 0 for runs in played])
 
-    def alarms(self, values: FloatArray, rows: Rows) -> Mask:
+    def alarms(self, values: statistics.FloatArray, rows: Rows) -> Mask:
         different, which = np.unique(values, return_inverse=True)
         specs = [self.player.with_value(value) for value in different.tolist()]
         runs = self.panel.play_each(self.number, specs, which, self.rows[rows])
@@ -114,7 +104,7 @@ class ReplayRuns:
     def __init__(
         self,
         backend: ReplayBackend,
-        parts: Sequence[tuple[FloatArray, Rows]],
+        parts: Sequence[tuple[statistics.FloatArray, Rows]],
         span: tuple[float, float],
     ) -> None:
         self.backend, self.parts, self.span = backend, parts, span
@@ -138,7 +128,7 @@ class ReplayRuns:
             alarmed.append(found.first_alarm > 0)
         return np.concatenate(alarmed, axis=1)
 
-    def alarms(self, values: FloatArray, rows: Rows) -> Mask:
+    def alarms(self, values: statistics.FloatArray, rows: Rows) -> Mask:
         alarmed, first = np.zeros(len(rows), dtype=np.bool_), 0
         for curve, own in self.parts:
             mine = (rows >= first) & (rows < first + len(own))
@@ -159,7 +149,7 @@ def trace_alarms(
     it; sifted for by default. `errors`: how far around, in standard errors."""
     silent, low, high = math.nan, *runs.span
     if start is None:
-        grid = build_log_grid(low, high, settings.values)
+        grid = statistics.build_log_grid(low, high, settings.values)
         alarmed = np.logical_or.accumulate(runs.sift(grid, settings.sift_runs))
         share = alarmed.mean(axis=1) if alarmed.size else np.zeros(len(grid))
         silent, high = 1.0 - float(share[-1]), grid[-1]
@@ -173,7 +163,9 @@ def trace_alarms(
     values = np.array(sorted(played))
     alarmed = np.array([played[value][0] for value in values.tolist()])
     edges = _bisect(runs, values, alarmed)
-    at = rounded_down(float(weighted_quantile(edges, settings.budget, np.ones((1, len(edges))))[0]))
+    at = statistics.rounded_down(
+        float(statistics.weighted_quantile(edges, settings.budget, np.ones((1, len(edges))))[0])
+    )
     if at not in played:
         played[at] = runs.play(at)
     values = np.array(sorted(played))
@@ -211,12 +203,14 @@ def _share_error(alarmed: Mask, sky: NDArray[np.int64], budget: float) -> float:
     independent, share = math.sqrt(budget * (1.0 - budget) / len(sky)), float(alarmed.mean())
     if not 0.0 < share < 1.0:
         return independent
-    samples = draw_resamples(select_clusters(sky))
+    samples = statistics.draw_resamples(select_clusters(sky))
     spread = np.std(samples @ alarmed / samples.sum(axis=1))
     return independent * max(float(spread) / math.sqrt(share * (1.0 - share) / len(sky)), 1.0)
 
 
-def _bisect(runs: AttackedRuns, values: FloatArray, alarmed: Mask) -> FloatArray:
+def _bisect(
+    runs: AttackedRuns, values: statistics.FloatArray, alarmed: Mask
+) -> statistics.FloatArray:
     """(R,) alarm amplitudes, by which runs alarm (V, R) at some values."""
     crossed, first = alarmed.any(axis=0), alarmed.argmax(axis=0)
     high = np.where(crossed, values[first], values[-1])
@@ -249,7 +243,7 @@ def measure_elasticity(
     }
 
 
-def draw_threshold_factors(panel: Panel, number: int) -> FloatArray | None:
+def draw_threshold_factors(panel: Panel, number: int) -> statistics.FloatArray | None:
     """(S,) factors on the thresholds that other clean runs would have given; None where they do not
     come from clean runs, or differ between the members of a pool."""
     judge = panel.judges[number]
@@ -260,7 +254,7 @@ def draw_threshold_factors(panel: Panel, number: int) -> FloatArray | None:
     if calibration is None or judge.point is None:
         return None
     rng = np.random.default_rng(judge.point.runs)
-    return calibration.draw_factors(judge.point, RESAMPLES, rng)
+    return calibration.draw_factors(judge.point, statistics.RESAMPLES, rng)
 
 
 def tune_at_budget(
@@ -274,16 +268,14 @@ def tune_at_budget(
     curve = trace_alarms(EngineRuns(panel, number, entry, tick), settings)
     factors = draw_threshold_factors(panel, number)
     if factors is not None and curve.runs:
-        elasticity = measure_elasticity(panel, number, entry, settings, curve)
-        curve = replace(curve, elasticity=elasticity)
+        curve = replace(curve, elasticity=measure_elasticity(panel, number, entry, settings, curve))
     curve = replace(curve, factors=factors)
     score = score_at_budget(curve, settings.budget)
     trials = []
     for k, value in enumerate(curve.amplitudes.tolist()):
         mean = float(curve.displacement[MEASURES[0]][k].mean()) if curve.runs else 0.0
         found = Stealth(curve.runs, int(curve.alarmed[k].sum()), mean)
-        within = found.seems_to_keep(settings.budget)
-        trials.append(Trial.of(value, panel.runs, found, within))
+        trials.append(Trial.of(value, panel.runs, found, found.seems_to_keep(settings.budget)))
     return TuningResult(
         detector=detector,
         spoofer=entry.label,

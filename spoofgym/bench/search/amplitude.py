@@ -94,13 +94,9 @@ class Tuning:
 
 @dataclass(frozen=True)
 class Trial:
-    """One value on the training runs.
-
-    - `runs`: how many it was tried on; `counted`: how many of them count;
-    - `alarm_rate`, `alarm_limit`: P(alarm | silent twin), and its upper 95 % limit;
-    - `stealthy_displacement_m`: mean over the runs that count;
-    - `within_budget`: by the limit where the value can be chosen, else by the rate.
-    """
+    """One value on the training runs: of `runs` that it was tried on `counted` count; P(alarm |
+    silent twin) with its upper 95 % limit; mean displacement over those that count. `within_budget`
+    is by the limit where the value can be chosen, else by the rate."""
 
     value: float
     runs: int
@@ -113,8 +109,7 @@ class Trial:
     @classmethod
     def of(cls, value: float, runs: int, found: Stealth, within_budget: bool) -> Trial:
         """Trial by what came of it; of no run that counts the rate is 1."""
-        known = found.runs > 0
-        rate, mean = (found.alarm_rate, found.displacement_m) if known else (1.0, 0.0)
+        rate, mean = (found.alarm_rate, found.displacement_m) if found.runs > 0 else (1.0, 0.0)
         return cls(value, runs, found.runs, rate, found.alarm_limit, mean, within_budget)
 
 
@@ -122,16 +117,12 @@ class Trial:
 class TuningResult:
     """What a search found.
 
-    - `within_budget`: whether there is any value within the budget; if not, the choice is the
-      smallest;
+    - `within_budget`: whether any value is within the budget; if not, the choice is the smallest;
     - `budget`: largest P(alarm | silent twin) that its upper limit may be;
-    - `runs`, `counted`: training runs, and those among them that count;
-    - `clean_alarm_rate`, `warmup_alarms`: part of them that alarms without attack, and how many
-      alarm before it;
-    - `trials`: all that was tried, by value; the choice is among those on all runs;
-    - `found`: settings of a spoofer that was looked for besides its value, and how; or None;
-    - `at_budget`: score at exactly the budget, by the rule `EXACT`, and `trace`, by which attacks
-      are compared; or None.
+    - `runs`, `counted`: training runs, and those that count; `clean_alarm_rate`, `warmup_alarms`:
+      part of them that alarms without attack, and how many alarm before it;
+    - `trials`: all that was tried, by value; `found`: settings that were looked for besides it;
+    - `at_budget`, `trace`: score at exactly the budget, and by what attacks are compared there.
     """
 
     detector: str
@@ -233,8 +224,7 @@ def tune_amplitude(
     setting = entry.tuned
     if setting is None:
         raise ValueError(f"{entry.label!r} has no setting that is to be tuned")
-    any_value = make_spoofer(entry.with_value(1.0))
-    low, high = get_tuning_range(any_value, panel.setup)
+    low, high = get_tuning_range(make_spoofer(entry.with_value(1.0)), panel.setup)
     high = high if entry.largest is None else entry.largest
     grid = build_log_grid(low, high, settings.values)
     search = _Search(panel, number, entry, settings)

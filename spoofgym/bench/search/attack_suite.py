@@ -219,8 +219,7 @@ class WorstAttacks:
             near |= {key for key, _ in self._peaks(sifted, aims, few)}
         played = yield from self._play(sorted(near), all_runs)
         if self.by_skies:
-            worst = self._best(played, aims[0], all_runs)
-            moved = played[worst][MEASURES[0]]
+            moved = played[self._best(played, aims[0], all_runs)][MEASURES[0]]
             self.skies = worst_skies(moved[self.counts], self.sky[self.counts])
         aims = list_aims(measures, limits, skies=self.skies is not None)
         found: AttackAims = {}
@@ -344,10 +343,9 @@ def _around(value: float, grid: list[float], steps: Sequence[float]) -> list[flo
 
 
 def _between(grid: list[float], k: int, moved: list[FloatArray], aim: Aim) -> list[float]:
-    """Values halfway from one of a grid to both next ones, and what just passes an alert limit. The
-    error that a blind attack induces grows in proportion to its amplitude. Of what passes the
-    limit, as little as is enough; and the least that does so in any run, and in half of the
-    silent."""
+    """Values halfway from one of a grid to both next ones, and what just passes an alert limit: an
+    error grows with the amplitude. Of what passes it as little as is enough; and the least that
+    does so in any run, and in half of the silent."""
     at, low, high = grid[k], grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
     near = [math.sqrt(low * at), math.sqrt(at * high)]
     if aim.limit_m is not None:

@@ -53,8 +53,7 @@ class ReplayBackend:
 
     def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
         found = self.replay.play(self.number, curves, rows=self.rows[rows])
-        error = found.error[: self.replay.attack_epochs]
-        return found.peak, error.max(axis=0).mean(axis=1)
+        return found.peak, found.error[: self.replay.attack_epochs].max(axis=0).mean(axis=1)
 
 
 class MixedBackend:

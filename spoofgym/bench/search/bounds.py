@@ -130,11 +130,9 @@ class DisplacementBounds:
 
     def zero_alarm(self, detector: PlayerSpec, tick: WorkCallback | None = None) -> ZeroAlarm:
         if self.setup is None:
-            why = f"no limit is known for {self.world.setup.whose}"
-            return ZeroAlarm(None, None, "", why, [])
+            return ZeroAlarm(None, None, "", f"no limit is known for {self.world.setup.whose}", [])
         if detector.label not in self._bounds:
-            judge = self.world.judge(detector)
-            found = zero_alarm_bounds(self.setup, judge, self.cases(), tick)
+            found = zero_alarm_bounds(self.setup, self.world.judge(detector), self.cases(), tick)
             self._bounds[detector.label] = found
         return self._bounds[detector.label]
 

@@ -19,15 +19,8 @@ from ...limits.log_replay import FEWEST_WINDOWS, RATE_LIMIT_MPS, LogReplay
 from ...receiver.log import InnovationLog
 from ...spoofers import SpooferContext, make_spoofer
 from ..runs.record import MEASURES, undetected_displacement
+from ..scores import statistics
 from ..scores.at_budget import AtBudget, score_at_budget
-from ..scores.statistics import (
-    BUDGET,
-    LEVEL,
-    Estimate,
-    bootstrap_mean,
-    bounded_mean,
-    draw_resamples,
-)
 from .alarm_amplitude import ReplayRuns, trace_alarms
 from .amplitude import Tuning
 from .backends import ReplayBackend
@@ -46,13 +39,9 @@ UNITS = {
 
 
 class FamilyReach(NamedTuple):
-    """A family at an amplitude at which a share of the windows alarms.
-
-    - `family`; `unit` of its amplitude;
-    - `score`: amplitude and undetected displacement at that share, with intervals over windows;
-    - `at_limit`: whether not even the largest amplitude alarms more often;
-    - `rates_mps`: of the curve that was found, at its knots; none of a plain one.
-    """
+    """A family of attacks at which a share of the windows alarms: amplitude and displacement with
+    intervals over windows; `at_limit`: whether not even the largest amplitude alarms more often;
+    `rates_mps` at the knots of a curve that was found."""
 
     family: str
     unit: str
@@ -70,8 +59,8 @@ class PlayedSpoofer(NamedTuple):
     they do, with intervals over windows [m]."""
 
     spoofer: str
-    alarm_rate: Estimate
-    displacement: Estimate
+    alarm_rate: statistics.Estimate
+    displacement: statistics.Estimate
 
     def as_json(self) -> dict[str, Any]:
         parts = {"alarm_rate": self.alarm_rate.as_json(), MOVED: self.displacement.as_json()}
@@ -81,12 +70,11 @@ class PlayedSpoofer(NamedTuple):
 class LogAttack(NamedTuple):
     """What attacks reach against a detector on a log.
 
-    - `factor` on the detector's thresholds, for `false_alarms_per_hour`, None for its own;
-    - `windows` that are attacked, of `window_s`, each after `live_s`; `clean_alarms` of them alarm
+    - `factor` on its thresholds, for `false_alarms_per_hour`, None for its own;
+    - `windows` of `window_s` that are attacked, each after `live_s`; `clean_alarms` of them alarm
       without an attack, or before it, and do not count;
-    - `families`, each at the alarm budget that so many windows support and where half of them
-      alarm; `zero_alarm`: what no attack exceeds in the mean without an alarm;
-    - `played`: spoofers that were named, in place of the families.
+    - `families`, at the alarm budget that the windows support and where half of them alarm, or the
+      spoofers that were named, `played`; `zero_alarm`: what none exceeds in the mean without alarm.
     """
 
     detector: str
@@ -170,7 +158,7 @@ def attack_log(
             f"{label} alarms in {replay.runs - backend.runs} of {replay.runs} windows without an "
             "attack: take thresholds of the log, by false_alarms_per_hour",
         )
-        budget = max(BUDGET, -math.expm1(math.log(LEVEL) / backend.runs))
+        budget = max(statistics.BUDGET, -math.expm1(math.log(statistics.LEVEL) / backend.runs))
         families = [
             score
             for share in (budget, 0.5) * (not spoofers)
@@ -220,8 +208,8 @@ def play_spoofer(
 
 def _play_named(backend: ReplayBackend, replay: LogReplay, spec: Any) -> PlayedSpoofer:
     moved, alarmed = play_spoofer(replay, spec, backend.rows)
-    own = bounded_mean(alarmed, backend.rows, 0.0)
-    mean = bootstrap_mean(moved, draw_resamples(backend.rows))
+    own = statistics.bounded_mean(alarmed, backend.rows, 0.0)
+    mean = statistics.bootstrap_mean(moved, statistics.draw_resamples(backend.rows))
     return PlayedSpoofer(Path(label_spec(spec)).stem, own, mean)
 
 

@@ -45,14 +45,7 @@ from ..runs.record import MEASURES
 from ..scores.at_budget import score_best
 from ..scores.statistics import aim
 from .alarm_amplitude import tune_at_budget
-from .amplitude import (
-    EXACT,
-    Tuning,
-    TuningResult,
-    search_work,
-    tune_amplitude,
-    with_rates,
-)
+from .amplitude import EXACT, Tuning, TuningResult, search_work, tune_amplitude, with_rates
 from .backends import Backend, EngineBackend, ReplayBackend, Rows
 from .bounds import DisplacementBounds
 
@@ -98,21 +91,15 @@ class OpenLoopSearch:
     knots: int = setting(default=12, least=2, most=MOST_KNOTS, help="Knots of the curve.")
     population: int = setting(default=12, least=4, help="Size of a generation of CMA-ES.")
     generations: int = setting(
-        default=60,
-        least=0,
-        help="Generations of CMA-ES; 0 for the best of the first curves.",
+        default=60, least=0, help="Generations of CMA-ES; 0 for the best of the first curves."
     )
     seed: int = setting(default=0, least=0, help="Seed of the search.")
 
 
 class OpenLoopAttack(NamedTuple):
-    """A curve that a search has found.
-
-    - `rates_mps` (knots,) at the amplitude that the share of alarms allows on the runs;
-    - `displacement_m` it gets there, by the score of the search (`HazardOptimizer`: another score);
-    - `start`: shape that the search began at, and `start_m` what that gets;
-    - `saturated`: whether it gets as far as any attack, so that nothing was left to search for.
-    """
+    """A curve that a search has found: (knots,) rates at the amplitude that the share of alarms
+    allows, what it gets there by the score of the search, the shape that it began at and what that
+    gets, and whether it gets as far as any attack, so that nothing was left to search for."""
 
     rates_mps: FloatArray
     displacement_m: float
@@ -222,8 +209,7 @@ class OpenLoopOptimizer:
     def _batch(self, turn: int) -> Rows:
         """Runs of a turn; all have theirs before any comes again."""
         size = min(self.settings.batch, len(self.all_runs))
-        parts = max(len(self.all_runs) // size, 1)
-        again, part = divmod(turn, parts)
+        again, part = divmod(turn, max(len(self.all_runs) // size, 1))
         order = np.random.default_rng([self.settings.seed, again]).permutation(self.all_runs)
         return np.asarray(np.sort(order[part * size : (part + 1) * size]))
 
@@ -426,8 +412,7 @@ def search_aims(
             "start_m": best.start_m,
         }
     if alert_limit_m is not None and best is not None and not tuning.quick:
-        optimizer = HazardOptimizer(backend, alert_limit_m, settings)
-        best = optimizer.search({BEFORE: best.rates_mps})
+        best = HazardOptimizer(backend, alert_limit_m, settings).search({BEFORE: best.rates_mps})
         found[AIMS[2]] = {
             "limit_m": alert_limit_m,
             "rates_mps": [float(f"{rate:.6g}") for rate in best.rates_mps],
@@ -488,13 +473,13 @@ class Optima:
             why = f"the displacement by replay is off by {100.0 * error:.1f} %"
         start = self._start(self.world.build_setup(detector, self.spoofers))
         found = search_aims(EngineBackend(*start, heading_deg), *sizes, tick)
-        played = {"by": ENGINE, "why": why, "linear_error": error}
-        return {**played, "aims": found, "shapes": shape}
+        how = {"by": ENGINE, "why": why, "linear_error": error}
+        return {**how, "aims": found, "shapes": shape}
 
     def _zero_alarm(self, detector: PlayerSpec) -> dict[str, list[float]]:
-        """Shape of the attack that gets farthest without an alarm of its own doing, if known. It is
-        fitted, and no start of the search, which got less far from there in its few generations: 49
-        m against `cusum` of range rates, and 54 m from plain shapes."""
+        """Shape of the attack that gets farthest without an alarm, if known: fitted, and no start
+        of the search, which got less far from there (49 m, not 54, against `cusum` of range
+        rates)."""
         rates = self.bounds.zero_alarm(detector).rates_mps
         shape = np.mean(rates, axis=0) if rates else np.zeros(1)
         return {ZERO_ALARM: shape.tolist()} if np.any(shape > 0.0) else {}
@@ -553,8 +538,7 @@ class Optima:
             for name, shape in plain.items():
                 # its amplitude may exceed 1, and the attack's limit holds after that
                 shape = np.interp(t, np.linspace(0.0, 1.0, len(shape)), shape)
-                size = min(rates.mean() / shape.mean(), limit / np.abs(shape).max())
-                curves[name] = size * shape
+                curves[name] = min(rates.mean() / shape.mean(), limit / np.abs(shape).max()) * shape
         return {name: [float(f"{rate:.6g}") for rate in each] for name, each in curves.items()}
 
 
@@ -582,9 +566,9 @@ def fit(
     optima: Callable[[], Optima],
     tick: Callable[[float], None] = lambda _: None,
 ) -> Iterator[TuningResult]:
-    """Search for a spoofer's setting against detectors of a panel, in their order; of a blind
-    optimum for its curve before that. By the rule `EXACT`, where the best of several curves is
-    played, its displacement is scored on runs that it was not chosen on."""
+    """Search for a spoofer's setting against detectors of a panel, in their order; of an open-loop
+    attack for its curve first, the best of several being scored on runs that it was not chosen
+    on."""
     if not entry.needs_search:
         yield from _tune(panel, [(k, d, entry) for k, d in detectors.items()], settings, tick)
         return
@@ -598,8 +582,7 @@ def fit(
         if settings.rule == EXACT:
             traces = [each.trace for each in fits.values() if each.trace is not None]
             score = score_best(traces, settings.budget)
-            at_budget = {**(best.at_budget or {}), MEASURES[0]: score.as_json()}
-            best = replace(best, at_budget=at_budget)
+            best = replace(best, at_budget={**(best.at_budget or {}), MEASURES[0]: score.as_json()})
         yield best
 
 

@@ -94,8 +94,7 @@ def test_leftovers_of_a_writer_go_when_it_is_gone(tmp_path):
     store.put(CELL, Result())
     command = [sys.executable, "-c", "input()"]
     with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
-        name = f"spoofgym-{_files._machine()}-{process.pid}-{'0' * 32}.part"
-        stale = tmp_path / "cells" / name
+        stale = tmp_path / "cells" / f"spoofgym-{_files._machine()}-{process.pid}-{'0' * 32}.part"
         stale.write_bytes(b"half")
         Store(tmp_path).open("numbers", {"size": 3})
         assert stale.exists()  # its writer lives

@@ -93,8 +93,7 @@ def test_the_replay_is_the_run_in_which_the_worst_attack_gets_farthest(suite, re
     assert replay["title"] == f"{spoofer} against {NAME}, run {run}"
     stored = results.runs(label, spoofer).displacement_m
     assert replay["undetected_m"] == pytest.approx(stored[run], abs=1e-4)
-    counts = results.runs(label, spoofer).counts
-    assert stored[run] == stored[counts].max()
+    assert stored[run] == stored[results.runs(label, spoofer).counts].max()
     count = len(replay["time"])
     assert count == suite.world.setup.steps + suite.world.setup.hold
     assert {len(replay[name]) for name in ("north", "off", "error", "ratio", "twin")} == {count}
@@ -153,14 +152,10 @@ def test_families_of_attacks_have_a_page_finished_or_not(tmp_path):
 def test_an_unsolved_game_says_which_pairs_are_missing(tmp_path):
     store = Store(tmp_path)
     store.open("game", {"env": "any"})
-    arrays = {
-        "undetected_displacement_m": np.array([1.0, 3.0]),
-        "first_alarm": np.array([0, 4]),
-    }
+    arrays = {"undetected_displacement_m": np.array([1.0, 3.0]), "first_alarm": np.array([0, 4])}
     for spoofer, detector in (("ramp", "ewma"), ("step", "ewma"), ("ramp", "cusum")):
         named = {"spoofer": {"name": spoofer}, "detector": [{"name": detector}]}
-        record = RunRecord({}, arrays)
-        store.put(Cell(f"{spoofer} {detector}", named), Result(*record.parts()))
+        store.put(Cell(f"{spoofer} {detector}", named), Result(*RunRecord({}, arrays).parts()))
     text = render_page(build_game_page(store))
     assert "<b>Not finished</b>: step / cusum." in text
     assert "<td>ramp</td><td>ewma</td><td>2</td><td>2.0</td><td>50.0</td>" in text
