@@ -138,15 +138,6 @@ class PublicSeeds(Outsider):
         return before
 
 
-class Writer(Outsider):
-    """Writes to the memory of its arrays."""
-
-    def find(self, epoch):
-        address, _ = epoch.innovation.__array_interface__["data"]
-        ctypes.memset(address, 0, epoch.innovation.nbytes)
-        return super().find(epoch)
-
-
 SEEN = {}
 
 
@@ -168,7 +159,7 @@ class Memorizer(Outsider):
 
 WAYS = (
     *("raises", "nan", "shape", "undeclared", "leaves", "quits", "truncates", "lies"),
-    *("forks", "hangs"),
+    *("forks", "hangs", "writes"),
 )
 FIRST_WAY = 1000
 """In the second innovation of all receivers: one process, which starts slowly, has all ways."""
@@ -202,6 +193,11 @@ class Fails(Outsider):
 
     def undeclared(self, epoch, verdict):
         return verdict._replace(statistic=epoch.design[:, :1, 0])
+
+    def writes(self, epoch, verdict):
+        address, _ = epoch.innovation.__array_interface__["data"]
+        ctypes.memset(address, 0, epoch.innovation.nbytes)
+        return verdict
 
     def hangs(self, epoch, verdict):
         time.sleep(60.0)
