@@ -198,7 +198,7 @@ MAX_DIGESTS = 16
 MIN_AGE_S = 86_400.0  # least age of code that is pruned: what began to use it may still add to it
 CHECKSUM_SIZE = 16
 COLLECT_AFTER = 50_000, 20, 1000  # objects, and collections of the younger ones
-WAIT_S = 180.0  # for another process that compiles the same; the longest take a minute
+WAIT_S = 100.0  # for another process that compiles the same; the longest take a minute
 NOTICE_S = 2.0
 NOTICE = (
     "spoofgym: compiling {} for this machine, once; about a minute, of which `spoofgym warmup` "
