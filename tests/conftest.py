@@ -24,19 +24,15 @@ pytest.register_assert_rewrite("tests.command_line")
 
 DATA_VARIABLE = "SPOOFGYM_DATA"
 TESTS = Path(__file__).parent
-COMPILES = ("golden/test_trajectories.py",)
-"""Compiles nearly all that the others need, which finds its way to them through the cache."""
-MEANWHILE = (
-    "agents/",
-    "conformance/test_compiled.py",
-    "conformance/test_detectors.py",
-    "conformance/test_docstrings.py",
+FIRST = (
+    "golden/test_trajectories.py",  # compiles nearly all that others load from the cache
+    "agents/",  # and for other processes meanwhile, what needs little of it
     "core/test_compile.py",
     "data/",
-)
-"""For the other processes in these minutes: needs nothing of it, and the kernels of detectors."""
-LONG = (
-    "train/",
+    "conformance/test_compiled.py",
+    "conformance/test_docstrings.py",
+    "conformance/test_detectors.py",
+    "train/",  # the longest, so that no process ends with one by itself
     "test_cli.py",
     "test_cli_shipped.py",
     "test_cli_warmup.py",
@@ -45,7 +41,7 @@ LONG = (
     "papers/",
     "conformance/test_envs.py",
 )
-"""Next, so that no process ends with a long one by itself."""
+"""Files in the order in which processes take them; then all others."""
 # Before anything imports matplotlib: Gymnasium's checks open windows, and there may be no display.
 WINDOW = "module://tests.window"
 os.environ["MPLBACKEND"] = WINDOW
@@ -160,10 +156,8 @@ def pytest_collection() -> Iterator[None]:
 
 
 def place_of(item: pytest.Item) -> int:
-    """When a file has its turn; see `COMPILES`, `MEANWHILE` and `LONG`."""
     path = item.path.relative_to(TESTS).as_posix()
-    stages = (COMPILES, MEANWHILE, LONG)
-    return next((k for k, stage in enumerate(stages) if path.startswith(stage)), len(stages))
+    return next((k for k, start in enumerate(FIRST) if path.startswith(start)), len(FIRST))
 
 
 @pytest.hookimpl(tryfirst=True)

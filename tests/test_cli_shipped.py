@@ -65,17 +65,18 @@ def test_bench_and_run_take_learned_and_optimised_spoofers(zoo_folder):
     assert all(cell["spoofer_settings"]["amplitude"] > 0.0 for cell in summary["cells"][1:])
     assert "ewma: " in call("report", "out").output
     assert "stealthy attacks" in call("report", "out", "--verbose").output
-    for name in ("push", str(zoo_folder / "track.onnx"), inline):
-        assert read("run", *SHORT, "--spoofer", name, "--json")["largest_error_m"] > 0.0
+    for name, *bare in (["push"], [zoo_folder / "track.onnx", "--no-picture"]):
+        assert read("run", *SHORT, "--spoofer", name, "--json", *bare)["largest_error_m"] > 0.0
     assert Path("episode.png").is_file()
 
 
 @pytest.mark.usefixtures("zoo_folder")
-def test_shipped_spoofers_that_do_not_fit_are_named():
+def test_shipped_spoofers_that_do_not_fit_are_named(monkeypatch):
     north = [*QUICK, "--out", "out", "--attack", "false-position:axes=n"]
     assert "needs a command to the east" in refused("bench", *north)
     assert "'push' does not fit this attack: " in refused("bench", *north, "--spoofer", "push")
     assert not Path("out").exists()
+    monkeypatch.setattr("spoofgym.bench.experiments.suite.DEFAULT_SPOOFERS", ["step"])
     longer = [*QUICK, "--attack-s", "25", "--detector", "ewma", "--out", "longer"]
     result = call("bench", *longer)
     assert result.exit_code == 0, result.output

@@ -28,7 +28,7 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, lru_cache
 from io import BytesIO
 from pathlib import Path
@@ -174,7 +174,7 @@ class Function(CPUDispatcher):  # type: ignore[misc]
             found = self.overloads.get(unified)
             if found is not None and is_part(found):
                 del self.overloads[unified]
-            with _rare_collection():
+            with _rare_collection(), _wait_for_others(self._cache):
                 code = super().compile(unified if unified != tuple(args) else sig)
             if unified != tuple(args):
                 self._insert([kind._code for kind in args], code, False)
@@ -198,6 +198,7 @@ MAX_DIGESTS = 16
 MIN_AGE_S = 86_400.0  # least age of code that is pruned: what began to use it may still add to it
 CHECKSUM_SIZE = 16
 COLLECT_AFTER = 50_000, 20, 1000  # objects, and collections of the younger ones
+WAIT_S = 100.0  # for another process that compiles the same; the longest take a minute
 NOTICE_S = 2.0
 NOTICE = (
     "spoofgym: compiling {} for this machine, once; about a minute, of which `spoofgym warmup` "
@@ -417,14 +418,43 @@ class _CheckedFiles(IndexDataCacheFile):  # type: ignore[misc]
 
 
 class _CheckedCache(FunctionCache):  # type: ignore[misc]
+    """What is compiled by a process is waited for by others that need the same, and loaded then."""
+
+    locks: ExitStack | None = None  # where what is missing is to be compiled in full
+
     def __init__(self, function: Callable[..., object]) -> None:
         super().__init__(function)
         stamp = self._impl.locator.get_source_stamp()
         self._cache_file = _CheckedFiles(self._cache_path, self._impl.filename_base, stamp)
 
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = super().load_overload(sig, target_context)
+        locks, self.locks = self.locks, None
+        if found is not None or locks is None:
+            return found
+        from filelock import FileLock, Timeout
+
+        key = hashlib.sha256(repr(self._index_key(sig, target_context.codegen())).encode())
+        path = Path(self._cache_path) / f"{self._impl.filename_base}.{key.hexdigest()[:12]}.lock"
+        with suppress(Timeout, OSError, NotImplementedError):  # then both compile it
+            self._impl.locator.ensure_cache_path()
+            locks.enter_context(FileLock(path).acquire(timeout=WAIT_S))
+            found = super().load_overload(sig, target_context)
+        return found
+
     def save_overload(self, sig: Any, data: Any) -> None:
         if not is_part(data):
             super().save_overload(sig, data)
+
+
+@contextmanager
+def _wait_for_others(cache: Any) -> Iterator[None]:
+    """Only one process compiles in the block what is not in the cache."""
+    with ExitStack() as cache.locks:
+        try:
+            yield
+        finally:
+            cache.locks = None
 
 
 def _compile(function: F, **how: Any) -> F:

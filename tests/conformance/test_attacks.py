@@ -11,6 +11,8 @@ from spoofgym.attacks import ATTACKS, THREATS, FalsePosition, Meaconer, PerChann
 from spoofgym.core.declared import list_declarations
 from spoofgym.testing import check_attack
 
+from ..nightly import heavy
+
 SOME = ("S05", "S11", "S30")
 
 
@@ -21,10 +23,13 @@ CONTROLLED = [
 ]
 
 
-@pytest.mark.parametrize("channels", ["all", SOME], ids=["all", "some"])
-@pytest.mark.parametrize("coherent", [True, False], ids=["coherent", "pseudorange-only"])
+FORMS = [(True, "all"), (False, SOME), (True, SOME), (False, "all")]
+
+
+@pytest.mark.parametrize("form", heavy(FORMS, *FORMS[2:]), ids=str)
 @pytest.mark.parametrize(("name", "control"), CONTROLLED)
-def test_every_attack_keeps_the_contract(name, control, coherent, channels):
+def test_every_attack_keeps_the_contract(name, control, form):
+    coherent, channels = form
     check_attack({"name": name, "control": control, "coherent": coherent, "channels": channels})
 
 
@@ -57,9 +62,19 @@ OPTIONS = {
 }
 
 
-@pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
-@pytest.mark.parametrize("name", ATTACKS)
-def test_every_option_keeps_the_contract(name, options):
+OPTIONED = [(name, word) for name in ATTACKS for word in OPTIONS]
+ALONE = [
+    *(("false-position", "tracking"), ("false-position", "capture"), ("meaconer", "clock")),
+    *(("per-channel", "replaced"), ("offsets", "replaced-pseudoranges")),
+]
+OFTEN = {*ALONE, *((name, "all") for name in ATTACKS)}
+"""All together with every attack, and each alone with one of them."""
+
+
+@pytest.mark.parametrize("case", heavy(OPTIONED, *({*OPTIONED} - OFTEN)), ids="-".join)
+def test_every_option_keeps_the_contract(case):
+    name, word = case
+    options = OPTIONS[word]
     if not ATTACKS[name].takes_tracking:
         options = {key: value for key, value in options.items() if key != "tracking"}
     check_attack({"name": name, **options})

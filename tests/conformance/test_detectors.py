@@ -11,23 +11,32 @@ from spoofgym.detectors import DETECTORS, Detector, Verdict
 from spoofgym.testing import check_detector
 from spoofgym.testing.epochs import COORDINATES, ZERO, position_script
 
+from ..nightly import heavy
+
 LATE = {"start_s": 4.0, "settled_s": 8.0, "max_exclusion_s": 6.0, "min_satellites": 4}
+FURTHER = [
+    {"name": "ewma", "smoothing": 1.0, "false_alarm": 0.1, "weight_scale": 1.0},
+    {"name": "innovation-rate", "weight_scale": 1.0},
+    {"name": "snapshot-chi2", "signals": "pseudorange"},
+    {"name": "sequential-chi2", "signals": "both", "false_alarm": 0.5},
+    {"name": "windowed-chi2", "window": 4, "false_alarm": 0.3, "covariance": "estimated"},
+    {"name": "windowed-chi2", "window": 1000},
+]
+"""Like others, for `make test-nightly`."""
 VARIANTS = [
     *DETECTORS,
+    *FURTHER,
     {"name": "acna", "variant": "literal"},
     {"name": "acna", "variant": "held", "jump_window": 20, "slow_threshold_m": None},
     {"name": "acna", "max_exclusion_s": 2.0, "readmission_fixes": 1},
     {"name": "ewma", "weight_scale": None},
-    {"name": "ewma", "smoothing": 1.0, "false_alarm": 0.1, "weight_scale": 1.0},
     {"name": "raim", "exclude": True, "false_alarm": 0.5},
     {"name": "glr-ramp", "signals": "both", "window": 20, "baseline": 10},
     {"name": "glr-step", "signals": "range_rate", "window": 8, "baseline": 30},
-    {"name": "innovation-rate", "weight_scale": 1.0},
     {"name": "innovation-rate", "threshold": 0.05, "weight_scale": 0.5, "memory_s": 20.0, **LATE},
     {"name": "lag-cusum", "signals": "both", "lag": 10, "baseline": 15, "threshold": 3.0},
     {"name": "oracle-ramp", "onset_s": 10.0, "min_satellites": 0},
     {"name": "oracle-step", "onset_s": 10.0, "max_exclusion_s": None, "threshold": 0.01},
-    {"name": "snapshot-chi2", "signals": "pseudorange"},
     {"name": "snapshot-chi2", "signals": "range_rate", "false_alarm": 0.5},
     {"name": "srv-raim", "exclude": True, "false_alarm": 0.5, "frame": "ecef"},
     {"name": "traversal-raim", "exclude": True, "false_alarm": 0.5},
@@ -40,18 +49,15 @@ VARIANTS = [
     {"name": "joint-chart", "weight_scale": 0.1, "max_exclusion_s": 2.0, "false_alarm": 0.1},
     {"name": "joint-chart", "end_rule": "literal", "weight_scale": None},
     {"name": "sequential-chi2", "window_s": 3.0, "bias_window_s": 2.0},
-    {"name": "sequential-chi2", "signals": "both", "false_alarm": 0.5},
     {"name": "shewhart", "signals": "both", "weight_scale": 0.5, "bias_window_s": 2.0},
     {"name": "snapshot-chi2", "bias_window_s": 2.0},
     {"name": "solution-separation", "longest_s": 5.0, "spacing_s": 2.0, "false_alarm": 0.5},
     {"name": "windowed-chi2", "window": 1, "covariance": "estimated", "covariance_window": 30},
-    {"name": "windowed-chi2", "window": 4, "false_alarm": 0.3, "covariance": "estimated"},
-    {"name": "windowed-chi2", "window": 1000},
     {"name": "pool", "members": ["cusum", "shewhart"], "weights": [0.5, 0.5]},
 ]
 
 
-@pytest.mark.parametrize("detector", VARIANTS, ids=str)
+@pytest.mark.parametrize("detector", heavy(VARIANTS, *FURTHER), ids=str)
 def test_every_detector_keeps_the_contract(detector):
     check_detector(detector)
 

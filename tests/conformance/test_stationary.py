@@ -84,16 +84,9 @@ def test_a_detector_of_any_age_passes_and_finds_the_attack_at_each():
     assert found.found.mean(axis=2).min() > 0.9
 
 
-@pytest.mark.parametrize(
-    ("detector", "said"),
-    [
-        (Tired(), "found in 6. of 64 .* begins 3 min after .* and in 0 when it begins 10 min"),
-        (Drifting(), "without attack .* changes with the time since the reset: its medians at 3 m"),
-        (Growing(), "without attack .* changes with the time since the reset: its medians at 3 m"),
-    ],
-    ids=["tired", "drifting", "growing"],
-)
-def test_one_that_counts_its_epochs_fails(detector, said):
+@pytest.mark.parametrize("detector", [Drifting(), Growing()], ids=["drifting", "growing"])
+def test_one_that_counts_its_epochs_fails(detector):
+    said = "without attack .* changes with the time since the reset: its medians at 3 m"
     with pytest.raises(AssertionError, match=said):
         check_stationary(detector)
 
@@ -106,7 +99,8 @@ def test_one_that_takes_its_age_from_the_filter_fails_in_flight():
 
 def test_check_detector_looks_at_the_age_where_it_is_asked_to():
     check_detector(Tired())
-    with pytest.raises(AssertionError, match="in 0 when it begins 10 min"):
+    said = "found in 6. of 64 .* begins 3 min after .* and in 0 when it begins 10 min"
+    with pytest.raises(AssertionError, match=said):
         check_detector(Tired(), stationary=True)
 
 

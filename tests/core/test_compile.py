@@ -145,6 +145,20 @@ def test_compiling_is_said_once_on_stderr_and_loading_is_not(tmp_path):
         assert said == ["compiled one of the user's", *expected]
 
 
+SHARED = """
+from spoofgym.core.compile import compiled_functions
+from spoofgym.earth import wgs84
+with compiled_functions() as found:
+    wgs84.gravity(6378137.0, 0.0, 0.0)
+print(bool(found))
+"""
+
+
+def test_of_processes_that_need_the_same_one_compiles_it(tmp_path):
+    found = [printed for printed, _ in processes(tmp_path, (SHARED,), (SHARED,))]
+    assert sorted(found) == [["False"], ["True"]]
+
+
 def test_compiling_is_said_when_it_has_taken_two_seconds_in_all(monkeypatch, capsys):
     monkeypatch.setattr(compiling, "NOTICE_S", 2.0)
     clock = 0.0

@@ -1,4 +1,7 @@
-"""Detectors of an outsider that cheat or fail, each by one trick."""
+"""Detectors of an outsider that cheat or fail, each by one trick.
+
+Every process of one imports this file: what takes long is imported where it is needed.
+"""
 
 import contextlib
 import ctypes
@@ -11,16 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
-import gymnasium as gym
 import numpy as np
 
-from spoofgym.bench.runs.panel import generators
-from spoofgym.bench.runs.play import WarmStart
 from spoofgym.detectors import Detector, Never, Verdict
-from spoofgym.receiver.epoch import select_receiver
-from spoofgym.wrappers.streams import Stream, StreamEnv
-
-from ..simulation.support import setup_of
 
 MARK = re.compile(rb"ENTROPY-IS-(\d{20})")
 RUNS = 4
@@ -64,21 +60,23 @@ class Collected(Outsider):
         return np.full(len(epoch.time), looks and any(map(attacks, gc.get_objects())))
 
 
-class CheatingWrapper(gym.Wrapper):
-    """Alarms where its environment, the reward or an object of the process tells of an attack."""
-
-    def step(self, action):
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        inner = self.env.unwrapped
-        found = reward != 0.0 or hasattr(inner, "core") or any(map(attacks, gc.get_objects()))
-        assert len(info["epochs"]) == 1
-        return observation, reward, terminated, truncated, {**info, "alarm": found}
-
-
 class Wrapped(Outsider):
-    """A wrapper around a stand-in environment, whose information has the epochs."""
+    """A wrapper around a stand-in environment, whose information has the epochs, that alarms where
+    its environment, the reward or an object of the process tells of an attack."""
 
     def bind(self, context):
+        import gymnasium as gym
+
+        from spoofgym.wrappers.streams import StreamEnv
+
+        class CheatingWrapper(gym.Wrapper):
+            def step(self, action):
+                *seen, info = self.env.step(action)
+                found = seen[1] != 0.0 or hasattr(self.env.unwrapped, "core")
+                found |= any(map(attacks, gc.get_objects()))
+                assert len(info["epochs"]) == 1
+                return *seen, {**info, "alarm": found}
+
         super().bind(context)
         box = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
         inner = SimpleNamespace(observation_space=box, action_space=box, metadata={})
@@ -87,6 +85,9 @@ class Wrapped(Outsider):
     def find(self, epoch):
         if self.memory["epochs"].max() % 20:
             return super().find(epoch)
+        from spoofgym.receiver.epoch import select_receiver
+        from spoofgym.wrappers.streams import Stream
+
         self.env.unwrapped.feed.streams = [Stream((), (select_receiver(epoch, 0),), 0)]
         self.env.unwrapped.feed.at = -1
         return np.full(len(epoch.time), self.env.step(np.zeros(2))[4]["alarm"])
@@ -123,6 +124,11 @@ class PublicSeeds(Outsider):
     """Plays the runs of entropies 0 to 9 beforehand, and knows them at the onset."""
 
     def bind(self, context):
+        from spoofgym.bench.runs.panel import generators
+        from spoofgym.bench.runs.play import WarmStart
+
+        from ..simulation.support import setup_of
+
         super().bind(context)
         self.memory.declare("known", np.zeros(context.receivers, dtype=np.bool_))
         setup, self.onsets = setup_of("tightly-coupled", detector=Never()), set()
@@ -136,15 +142,6 @@ class PublicSeeds(Outsider):
         here = [row.tobytes() in self.onsets for row in epoch.innovation]
         self.memory["known"] = before | here
         return before
-
-
-class Writer(Outsider):
-    """Writes to the memory of its arrays."""
-
-    def find(self, epoch):
-        address, _ = epoch.innovation.__array_interface__["data"]
-        ctypes.memset(address, 0, epoch.innovation.nbytes)
-        return super().find(epoch)
 
 
 SEEN = {}
@@ -168,7 +165,7 @@ class Memorizer(Outsider):
 
 WAYS = (
     *("raises", "nan", "shape", "undeclared", "leaves", "quits", "truncates", "lies"),
-    *("forks", "hangs"),
+    *("forks", "hangs", "writes"),
 )
 FIRST_WAY = 1000
 """In the second innovation of all receivers: one process, which starts slowly, has all ways."""
@@ -202,6 +199,11 @@ class Fails(Outsider):
 
     def undeclared(self, epoch, verdict):
         return verdict._replace(statistic=epoch.design[:, :1, 0])
+
+    def writes(self, epoch, verdict):
+        address, _ = epoch.innovation.__array_interface__["data"]
+        ctypes.memset(address, 0, epoch.innovation.nbytes)
+        return verdict
 
     def hangs(self, epoch, verdict):
         time.sleep(60.0)

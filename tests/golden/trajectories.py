@@ -26,8 +26,8 @@ RECEIVERS, STEPS, SEED = 2, 40, 20261121
 DEFAULT = "spoofgym/TightlyCoupled-v0"
 SAME_AS_DEFAULT = "spoofgym/BenchS1-v2"
 AGED = (SAME_AS_DEFAULT, "spoofgym/BenchS2-v2", "spoofgym/BenchS3-v2", "spoofgym/Offsets-v0")
-FEW = {"spoofgym/Offsets-v0": 20, "spoofgym/SpooferView-v0": 20}
-"""Steps of ids whose every step is ten seconds and has much to observe: past the first episode."""
+FEW = dict.fromkeys(["spoofgym/Offsets-v0", "spoofgym/SpooferView-v0", SAME_AS_DEFAULT], 20)
+"""Steps of ids that take long, past the first episode; of the last one 40 are stored."""
 Record = dict[str, np.ndarray]
 
 
