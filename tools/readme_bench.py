@@ -81,12 +81,11 @@ def choose_policies(learned: dict[str, Any]) -> dict[str, Any]:
 
 
 def _describe_learned(detector: str, found: dict[str, Any]) -> str:
-    """What PPO that corrects feedback reaches, median of its seeds, beside the searched attack."""
+    """What PPO that corrects feedback reaches, median of its seeds, beside feedback alone."""
     seeds = [each["kept"]["score"] for each in found["rows"]["feedback statistics"]["seeds"]]
-    score = found["scripts"]["open-loop"]["score"]
     middle = median(each[MEASURES[0]]["value"] for each in seeds)
-    searched = metres(score[MEASURES[0]]["value"])
-    return f"{metres(middle)} m against `{detector}` (open-loop: {searched} m)"
+    alone = metres(found["scripts"]["feedback, base"]["score"][MEASURES[0]]["value"])
+    return f"{metres(middle)} m against `{detector}` (`feedback` alone: {alone} m)"
 
 
 def _format_displacement(cell: dict[str, Any]) -> str:

@@ -46,7 +46,7 @@ def test_every_member_fits_an_action_that_requests_less_than_the_limits():
     settings = {"scenario": "zhong2025", "control": "rate", "basis": "rotated"}
     world = World.of(settings={**settings, "receiver": None, "timeline": None, "domain": None})
     assert world.context.largest_rate[1] < world.context.rate_limit_mps
-    fitting = list_fitting_attacks(world.setup, world.context)
+    fitting = attack_suite.list_fitting_attacks(world.setup, world.context)
     assert "b" in {member.letter for member in fitting}
 
 
