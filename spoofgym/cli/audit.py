@@ -78,8 +78,8 @@ class AuditOptions:
     jobs: int | None = Option(
         None,
         min=1,
-        help="Processes of this machine that compute at a time. Default: the processors; 1 with "
-        "--budget quick or --log.",
+        help="Processes of this machine that compute at a time. Default: 2, as far as there are; 1 "
+        "with --budget quick or --log.",
     )
     backend: opt.Backend = "local"
     shard: opt.Shard = None
@@ -103,7 +103,7 @@ class AuditOptions:
         from ..simulation.engine import processors
 
         how: Any = {name: getattr(self, name) for name in ("backend", "shard", "threads")}
-        how["jobs"] = self.jobs or (1 if self.size == "quick" or self.log else processors())
+        how["jobs"] = self.jobs or (1 if self.size == "quick" or self.log else min(processors(), 2))
         try:
             return opt.finish_experiment(experiment, folder, **how)
         except typer.Exit:  # the next task has its own

@@ -56,8 +56,7 @@ def test_spoofers_that_ignore_a_drawn_target_are_warned_of_and_oracles_refused()
         Suite(env=PLAIN_ID, detectors=oracles)
     suite = Suite(env=PLAIN_ID, detectors=oracles, allow_oracles=True)
     note = "oracle-ramp(rate_mps=0.2) is an oracle: it knows the attack"
-    assert suite._oracle_notes == (note,)
-    assert note in suite.config["notes"]
+    assert [each for each in suite.config["notes"] if "an oracle" in each] == [note]
     plain = [small_suite(allow_oracles=allow).digest for allow in (True, False)]
     assert plain[0] == plain[1]
 
