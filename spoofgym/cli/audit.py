@@ -75,12 +75,7 @@ class AuditOptions:
         help="Seed of all runs. Default: drawn at the first audit into a folder, and printed.",
     )
     threads: opt.Threads = None
-    jobs: int | None = Option(
-        None,
-        min=1,
-        help="Processes of this machine that compute at a time. Default: 2, as far as there are; 1 "
-        "with --budget quick or --log.",
-    )
+    jobs: opt.Processes = 1
     backend: opt.Backend = "local"
     shard: opt.Shard = None
 
@@ -100,10 +95,7 @@ class AuditOptions:
 
     def finish(self, experiment: Experiment, folder: Path | None) -> Reader | None:
         """Results of all cells; None where a shard leaves some to others."""
-        from ..simulation.engine import processors
-
-        how: Any = {name: getattr(self, name) for name in ("backend", "shard", "threads")}
-        how["jobs"] = self.jobs or (1 if self.size == "quick" or self.log else min(processors(), 2))
+        how: Any = {name: getattr(self, name) for name in ("jobs", "backend", "shard", "threads")}
         try:
             return opt.finish_experiment(experiment, folder, **how)
         except typer.Exit:  # the next task has its own
