@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import norm
 
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner, compute_upper_quantile
-from spoofgym.bench.scores.campaign import compare_controls, score_protection
+from spoofgym.bench.scores.campaign import compare_controls, estimate_reach, score_protection
 from spoofgym.bench.scores.detector import FamilyScore
 from spoofgym.bench.scores.exceeded import estimate_exceeded
 from spoofgym.bench.scores.statistics import draw_resamples, interval
@@ -150,6 +150,8 @@ def test_few_runs_have_no_upper_end_of_what_a_twentieth_exceeds(runs, bounded):
     assert found.low < found.value
     assert np.isfinite(found.high) == bounded
     assert interval(found.as_json()).endswith("or more)") != bounded
+    alone = estimate_reach(x, 0.05, samples)  # of one attack, as a campaign has it
+    assert (alone.value, np.isfinite(alone.high)) == (found.value, bounded)
 
 
 def at_values(values, alarm_amplitude, share):

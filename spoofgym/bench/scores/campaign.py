@@ -364,7 +364,8 @@ def estimate_reach(
     if not len(displacement):
         return statistics.NOTHING
     drawn = statistics.largest_of_share(displacement, part, samples)
-    return statistics.percentiles(record.compute_upper_quantile(displacement, part), drawn)
+    found = statistics.percentiles(record.compute_upper_quantile(displacement, part), drawn)
+    return statistics.bound_above(found, part, len(displacement))
 
 
 def compute_times(cell: record.RunRecord) -> dict[str, Any]:

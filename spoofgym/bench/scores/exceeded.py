@@ -22,14 +22,20 @@ for a share of 5 %.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Sequence
 from itertools import groupby, pairwise
 
 import numpy as np
 
 from ..runs.record import Aim, Mask, Protection, Winner
-from .statistics import CONFIDENCE, NOTHING, Estimate, FloatArray, largest_of_share, percentiles
+from .statistics import (
+    NOTHING,
+    Estimate,
+    FloatArray,
+    bound_above,
+    largest_of_share,
+    percentiles,
+)
 
 PARTS = np.arange(1, 8) / 8.0  # of the way between two values of a setting
 Between = tuple[FloatArray, FloatArray, float]
@@ -49,9 +55,8 @@ def estimate_exceeded(found: Protection, aim: Aim, samples: FloatArray) -> Estim
     most = np.maximum(drawn, value)
     for between in _list_between(found.winners, aim, rows, value):
         np.maximum(most, _draw_between(between, aim, samples, value), out=most)
-    bounded = (1.0 - aim.share) ** rows.sum() <= 0.5 * (1.0 - CONFIDENCE)
-    high = percentiles(value, most).high if bounded else math.nan
-    return Estimate(value, percentiles(value, drawn).low, high)
+    whole = Estimate(value, percentiles(value, drawn).low, percentiles(value, most).high)
+    return bound_above(whole, aim.share, int(rows.sum()))
 
 
 def draw_exceeded(found: Protection, aim: Aim, rows: Mask, samples: FloatArray) -> FloatArray:

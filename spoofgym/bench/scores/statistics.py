@@ -207,6 +207,13 @@ def percentiles(value: float, drawn: FloatArray) -> Estimate:
     return Estimate(value, float(low), float(high))
 
 
+def bound_above(found: Estimate, share: float, runs: int) -> Estimate:
+    """What a share of the runs exceeds, without an upper end where they are too few for one: with
+    the confidence of the interval none of them may lie beyond it."""
+    bounded = (1.0 - share) ** runs <= 0.5 * (1.0 - CONFIDENCE)
+    return found if bounded else Estimate(found.value, found.low, math.nan)
+
+
 def exceedance(values: ArrayLike, levels: ArrayLike) -> list[Estimate]:
     """Probability that a value (R,) exceeds each level (L,), with Wilson's interval; of undetected
     displacements that is P(HMI) by alert limit."""
