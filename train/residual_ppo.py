@@ -199,15 +199,21 @@ def score_scripts(settings: Settings, detector: str, bases: dict[str, Any]) -> d
 
 
 def make_model(
-    own: dict[str, Any], price_m: float, seed: int, num_envs: int = NUM_ENVS, faster: int = 1
+    own: dict[str, Any],
+    price_m: float,
+    seed: int,
+    num_envs: int = NUM_ENVS,
+    faster: int = 1,
+    log_std: float = LOG_STD,
+    **further: Any,
 ) -> PPO:
     """PPO whose first corrections are 0 but for exploration; `own`: settings of the environment."""
     vector = SpoofVecEnv(num_envs, seed=1000 * seed, warm_pool=num_envs, **own)
     set_price(vector, price_m / vector.core.length_m)
     plain = {x: faster * PLAIN[x] for x in ("n_steps", "batch_size")}
-    spread: dict[str, Any] = {"policy_kwargs": {"log_std_init": LOG_STD}}
+    how: dict[str, Any] = {**PLAIN, **plain, "policy_kwargs": {"log_std_init": log_std}, **further}
     envs = VecNormalize(vector, gamma=1.0)
-    model = PPO("MlpPolicy", envs, seed=seed, device="cpu", **{**PLAIN, **plain}, **spread)
+    model = PPO("MlpPolicy", envs, seed=seed, device="cpu", **how)
     with torch.no_grad():
         for each in model.policy.action_net.parameters():
             each.zero_()
