@@ -224,7 +224,8 @@ def freeze(model: PPO) -> ModelPolicy:
     """The policy as it is now, apart from the one that goes on learning."""
     spaces, normalize = (model.observation_space, model.action_space), get_normalization(model)
     assert normalize is not None  # as of `make_model`
-    policy = model.policy_class(*spaces, lambda _: 0.0, **model.policy_kwargs)
+    kwargs = {"use_sde": model.use_sde, **model.policy_kwargs}
+    policy = model.policy_class(*spaces, lambda _: 0.0, **kwargs)
     policy.load_state_dict(model.policy.state_dict())
     play_policy = make_function(policy)
     act = lambda seen: play_policy(normalize(seen))  # noqa: E731

@@ -6,11 +6,10 @@
 
 A detector's base is the open-loop attack of docs/headlines.json, at the amplitude that is at the
 budget on choice runs.  PPO sees the detector's statistics, begins with corrections of 0, explores
-with the widest of `LOG_STDS` at which the base alone still keeps alarms seldom, and goes on for
-`steps` decisions; of its checkpoints and the base the one is taken that gets farthest on the
-choice runs.  Scores are of the runs of the README's table, at exactly the budget, which decide
-nothing here; ratios to the base are paired.  After a kill the same command goes on with the seed
-that was learning.
+no wider than the base stays quiet with, and goes on for `steps` decisions; of its checkpoints and
+the base the one is taken that gets farthest on the choice runs.  Scores are of the runs of the
+README's table, at exactly the budget, which decide nothing here; ratios to the base are paired.
+After a kill the same command goes on with the seed that was learning.
 """
 
 from __future__ import annotations
@@ -43,7 +42,6 @@ from spoofgym.core.progress import ProgressBar
 from spoofgym.core.registry import check_choice
 from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.policies import SpooferCard
-from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.tasks import get_task
 
 from .residual_ppo import (
@@ -73,11 +71,12 @@ CASES = {
 }
 """Labels of detectors, and CPU minutes of a training of 240,000 decisions with its scores, roughly.
 Against the others of the suite the searched attack goes as far as its limits permit."""
-LOG_STDS, SELDOM = (-2.0, -3.0, -4.0, -5.0, -6.0), 2.0 * BUDGET
-"""Logarithms of the first spread of corrections, and the largest share of episodes that may alarm
-when the base is explored with it.  Range-rate tests see the noise itself: where all episodes alarm,
-a learner learns to be quiet, and nothing of what pays."""
-LEARNING_RATE, PROBES = 1e-4, 256
+EXPLORE, PROBES = {"use_sde": True}, 256
+LOG_STDS = (-2.0, -3.0, -4.0, -4.5, -5.0, -5.5, -6.0)
+"""Corrections are explored by one draw an episode (gSDE), since what changes between decisions
+is seen.  Logarithms of the first spread: taken is the widest with which at most `BUDGET` more of
+the episodes alarm than by the base alone.  Where all of them alarm a learner learns to be quiet,
+and nothing of what pays."""
 
 
 @dataclass(frozen=True)
@@ -135,31 +134,36 @@ def set_env(label: str, spec: dict[str, Any]) -> dict[str, Any]:
 
 
 def find_spread(label: str, spec: dict[str, Any]) -> dict[str, Any]:
-    """First spread of corrections, and the share of episodes that alarm by each that was tried."""
-    vector, shares = SpoofVecEnv(PROBES, warm_pool=PROBES, **set_env(label, spec)), {}
-    with closing(vector):
-        for log_std in LOG_STDS:
-            vector.seed(0)
-            vector.reset()
-            rng, alarms, over = np.random.default_rng(0), np.zeros(PROBES), np.zeros(PROBES, bool)
-            while not over.all():
-                noise = np.exp(log_std) * rng.standard_normal((PROBES, 1))
-                ends = vector.step(np.clip(noise, -1.0, 1.0))[2]
-                alarms += vector.result.info["cost"] * ~over
-                over |= ends
-            share = shares[f"{log_std:g}"] = float((alarms > 0.0).mean())
-            if share <= SELDOM:
-                break
+    """First spread of corrections, and the share of episodes that alarm by the base alone and by
+    each that was tried."""
+    own = set_env(label, spec)
+    shares = {"base": explore(own, None)}
+    for log_std in LOG_STDS:
+        share = shares[f"{log_std:g}"] = explore(own, log_std)
+        if share <= shares["base"] + BUDGET:
+            break
     return {"log_std": log_std, "explored_alarms": shares}
+
+
+def explore(own: dict[str, Any], log_std: float | None) -> float:
+    """Share of episodes that alarm when a base is explored; without a spread by the base alone."""
+    model = make_model(own, 0.0, 0, PROBES, log_std=log_std or 0.0, **EXPLORE)
+    envs = model.get_env()
+    with closing(envs):
+        seen, alarmed, over = envs.reset(), np.zeros(PROBES, bool), np.zeros(PROBES, bool)
+        model.policy.reset_noise(PROBES)
+        while not over.all():
+            seen, _, ends, _ = envs.step(model.predict(seen, deterministic=log_std is None)[0])
+            alarmed |= (envs.unwrapped.result.info["cost"] > 0.0) & ~over
+            over |= ends
+    return float(alarmed.mean())
 
 
 def train(settings: Settings, case: str, base: dict[str, Any], seed: int) -> dict[str, Any]:
     """One training; the checkpoint that gets farthest on the choice runs goes to a file."""
     label, _ = CASES[case]
-    own, begin = set_env(label, base["spec"]), {"log_std": base["log_std"]}
-    model = make_model(
-        own, settings.price_m, seed, settings.num_envs, **begin, learning_rate=LEARNING_RATE
-    )
+    own, how = set_env(label, base["spec"]), {"log_std": base["log_std"], **EXPLORE}
+    model = make_model(own, settings.price_m, seed, settings.num_envs, **how)
     judge, reached = make_judge(label, settings.choice_runs, CHOICE), [base["choice_m"]]
     states, why, began = [], None, time.process_time()
     for _ in range(settings.checkpoints):
