@@ -211,6 +211,7 @@ def make_model(
     vector = SpoofVecEnv(num_envs, seed=1000 * seed, warm_pool=num_envs, **own)
     set_price(vector, price_m / vector.core.length_m)
     plain = {x: faster * PLAIN[x] for x in ("n_steps", "batch_size")}
+    plain["batch_size"] = plain["batch_size"] * num_envs // NUM_ENVS
     how: dict[str, Any] = {**PLAIN, **plain, "policy_kwargs": {"log_std_init": log_std}, **further}
     envs = VecNormalize(vector, gamma=1.0)
     model = PPO("MlpPolicy", envs, seed=seed, device="cpu", **how)
