@@ -72,8 +72,10 @@ fast world of a paper, and the small environments ``spoofgym/LooselyCoupled-v0``
 
 from typing import TYPE_CHECKING, Any
 
+from .core.startup import check_python as _check_python
 from .core.startup import end_by_interrupts as _end_by_interrupts
 
+_check_python()
 _end_by_interrupts()  # before what takes a second
 
 from gymnasium.envs.registration import register  # noqa: E402
