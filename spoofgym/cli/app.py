@@ -22,6 +22,8 @@ from ..core.progress import ProgressCallback, show_progress
 
 signals: list[int] = []
 """Signals that requested the end of the program."""
+reported: list[str] = []
+"""What a command has said of its interrupt."""
 outputs: list[TextIO] = []
 """Standard output of a command that prints JSON, and nothing else."""
 HANDLED_SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -71,7 +73,8 @@ def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
         except KeyboardInterrupt as error:
             if not str(error):
                 raise
-            typer.echo(f"spoofgym: {error}", err=True)  # what is finished
+            reported.append(str(error))  # what is finished
+            typer.echo(f"spoofgym: {error}", err=True)
             raise typer.Exit(INTERRUPTED) from error
 
     return wrapper
@@ -127,6 +130,8 @@ def main() -> None:
         app()
     finally:
         if signals:
+            if not reported:
+                typer.echo("spoofgym: interrupted", err=True)
             _leave(128 + signals[0])
 
 
