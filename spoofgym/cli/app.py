@@ -18,7 +18,7 @@ from typing import Any, NoReturn, ParamSpec, TextIO, TypeVar
 import typer
 from typer import Option
 
-from ..core.progress import ProgressCallback, show_progress
+from ..core.progress import START, ProgressCallback, show_progress
 
 signals: list[int] = []
 """Signals that requested the end of the program."""
@@ -177,5 +177,4 @@ def print_written(files: Sequence[Path]) -> None:
 
 def progress(total: float) -> AbstractContextManager[ProgressCallback]:
     """Show how far a command is, until it ends."""
-    start = "compiling, a minute the first time"
-    return show_progress(total, start=start, interrupted=lambda: signals)
+    return show_progress(total, start=START, interrupted=lambda: signals)

@@ -45,7 +45,15 @@ from ..runs.record import MEASURES
 from ..scores.at_budget import score_best
 from ..scores.statistics import aim
 from .alarm_amplitude import tune_at_budget
-from .amplitude import EXACT, Tuning, TuningResult, search_work, tune_amplitude, with_rates
+from .amplitude import (
+    EXACT,
+    SEARCH_PART,
+    Tuning,
+    TuningResult,
+    search_work,
+    tune_amplitude,
+    with_rates,
+)
 from .backends import Backend, EngineBackend, ReplayBackend, Rows
 from .bounds import DisplacementBounds
 
@@ -572,7 +580,7 @@ def fit(
     if not entry.needs_search:
         yield from _tune(panel, [(k, d, entry) for k, d in detectors.items()], settings, tick)
         return
-    share = 0.0 if settings.rule == EXACT else 0.25 * search_work(settings)
+    share = SEARCH_PART * search_work(settings, panel.runs)
     for number, detector in detectors.items():
         found = optima().find(detector, entry, lambda part: tick(share * part))
         curves = optima().curves_to_fit(found)
