@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import math
+import re
 from collections.abc import Iterable, Mapping
+from itertools import groupby, pairwise
+from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from agents.folder import write_json
 from spoofgym.bench.report import table
@@ -13,6 +17,8 @@ from spoofgym.core.files import write_file
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
+MOST_ROWS, MOST_COLUMNS = 10, 6
+T = TypeVar("T")
 TEMPLATES = Path(__file__).with_name("templates")
 
 
@@ -44,6 +50,43 @@ def put_between(page: Path, begin: str, end: str, text: str) -> None:
 def render_page(name: str, **values: Any) -> str:
     """A template of the folder beside."""
     return table.render_template(name, values, TEMPLATES)
+
+
+def fit_tables(text: str) -> str:
+    """Divide Markdown tables that are larger than a page allows: by rows, where there are several
+    tasks, worlds or detectors by these, and by columns, each part with those that name its rows."""
+    return re.sub(r"(?:^\|.*\n)+", lambda found: _divide(found[0]), text, flags=re.MULTILINE)
+
+
+def _divide(table: str) -> str:
+    head, ruler, *rows = (re.split(r"(?<!\\)\|", line)[1:-1] for line in table.splitlines())
+    if len(rows) <= MOST_ROWS and len(head) <= MOST_COLUMNS:
+        return table
+    keys = next(k for k in range(1, len(head)) if len({(*row[:k],) for row in rows}) == len(rows))
+    parts: list[list[list[str]]] = [rows]
+    if len(rows) > MOST_ROWS and keys > 1:
+        parts = [list(own) for _, own in groupby(rows, itemgetter(0))]
+    parts = [some for own in parts for some in _share(own, MOST_ROWS)]
+    columns = [*range(len(head))]
+    if len(head) > MOST_COLUMNS:
+        found = _share(columns[keys:], MOST_COLUMNS - keys)
+    else:
+        found = [columns[keys:]]
+    tables = [
+        "".join(
+            f"|{'|'.join(row[k] for k in (*columns[:keys], *some))}|\n" for row in (head, ruler, *own)
+        )
+        for some in found
+        for own in parts
+    ]
+    return "\n".join(tables)
+
+
+def _share(items: list[T], most: int) -> list[list[T]]:
+    """Parts of a list, as few as there can be of that size, and as even."""
+    count = math.ceil(len(items) / most)
+    ends = [round(k * len(items) / count) for k in range(count + 1)]
+    return [items[a:b] for a, b in pairwise(ends)]
 
 
 def keep_cards(file: Path, cards: Mapping[str, Any], order: Iterable[str]) -> None:
