@@ -53,8 +53,8 @@ def render_page(name: str, **values: Any) -> str:
 
 
 def fit_tables(text: str) -> str:
-    """Divide Markdown tables that are larger than a page allows: by rows, where there are several
-    tasks, worlds or detectors by these, and by columns, each part with those that name its rows."""
+    """Divide Markdown tables that are larger than a page allows: by rows, where the first column
+    gives groups by these, and by columns, each part with those that name its rows."""
     return re.sub(r"(?:^\|.*\n)+", lambda found: _divide(found[0]), text, flags=re.MULTILINE)
 
 
@@ -63,22 +63,17 @@ def _divide(table: str) -> str:
     if len(rows) <= MOST_ROWS and len(head) <= MOST_COLUMNS:
         return table
     keys = next(k for k in range(1, len(head)) if len({(*row[:k],) for row in rows}) == len(rows))
-    parts: list[list[list[str]]] = [rows]
-    if len(rows) > MOST_ROWS and keys > 1:
-        parts = [list(own) for _, own in groupby(rows, itemgetter(0))]
-    parts = [some for own in parts for some in _share(own, MOST_ROWS)]
-    columns = [*range(len(head))]
-    if len(head) > MOST_COLUMNS:
-        found = _share(columns[keys:], MOST_COLUMNS - keys)
-    else:
-        found = [columns[keys:]]
-    tables = [
-        "".join(
-            f"|{'|'.join(row[k] for k in (*columns[:keys], *some))}|\n" for row in (head, ruler, *own)
-        )
-        for some in found
-        for own in parts
-    ]
+    groups = [list(own) for _, own in groupby(rows, itemgetter(0))]
+    if len(rows) <= MOST_ROWS or min(map(len, groups)) < 2:
+        groups = [rows]
+    parts = [some for own in groups for some in _share(own, MOST_ROWS)]
+    names, values = [*range(keys)], [*range(keys, len(head))]
+    tables = []
+    for some in _share(values, MOST_COLUMNS - keys):
+        for own in parts:
+            filled = [row for row in own if any(row[k].strip(" -") for k in some)]
+            lines = (head, ruler, *filled)
+            tables += ["".join(f"|{'|'.join(row[k] for k in names + some)}|\n" for row in lines)]
     return "\n".join(tables)
 
 
