@@ -1,5 +1,6 @@
 """What a start loads: counted in modules, since seconds depend on the machine."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -23,6 +24,20 @@ def loaded(code):
     """Modules that a fresh process has loaded after some lines."""
     command = [sys.executable, "-c", f"import sys\n{code}\nprint(*sys.modules)"]
     return {*subprocess.check_output(command, text=True).split()}
+
+
+def test_a_network_that_is_played_leaves_nothing_in_the_home(tmp_path):
+    path = ROOT / "spoofgym/policies/zoo/ewma-ppo.onnx"
+    code = f"""
+from pathlib import Path
+from spoofgym.policies.onnx_model import make_session
+make_session(Path({str(path)!r}).read_bytes())
+"""
+    unset = {"CI", "ORT_DISABLE_TELEMETRY", "XDG_CACHE_HOME"}
+    variables = {name: x for name, x in os.environ.items() if name not in unset}
+    variables["HOME"] = str(tmp_path)
+    subprocess.run([sys.executable, "-c", code], env=variables, check=True)
+    assert not [*tmp_path.rglob("*icrosoft*")]
 
 
 def test_an_import_loads_neither_the_compiler_nor_anything_else_that_is_heavy():
