@@ -122,9 +122,8 @@ class Evaluator:
 
     def expect_work(self, entry: PlayerSpec) -> float:
         """Runs that a score takes, roughly."""
-        fitted = entry.tuned is not None
-        curves = entry.needs_search
-        return self.runs + fitted * search_work(self.tuning, self.runs, curves=curves)
+        searched = search_work(self.tuning, self.runs, curves=entry.needs_search)
+        return self.runs + (0.0 if entry.tuned is None else searched)
 
     def play(self, entry: PlayerSpec) -> SpooferScore:
         """Score of one spoofer, as `score` has specified it."""
@@ -272,15 +271,8 @@ def evaluate(
     """
     if task is None and not {*world} - {"detector"}:
         world = {**read_training_world(policy), **world}
-    judge = Evaluator(
-        task,
-        runs=runs,
-        fit_runs=fit_runs,
-        rule=rule or get_rule(task),
-        entropy=entropy,
-        threads=threads,
-        **world,
-    )
+    sizes: dict[str, Any] = {"runs": runs, "fit_runs": fit_runs, "threads": threads}
+    judge = Evaluator(task, rule=rule or get_rule(task), entropy=entropy, **sizes, **world)
     entry = specify_policy(policy, amplitude, knowledge, label, largest_amplitude)
     show = show_on_terminal if progress is None else lambda _: nullcontext(progress)
     with show(judge.expect_work(entry)) as judge.progress:

@@ -45,15 +45,7 @@ from ..runs.record import MEASURES
 from ..scores.at_budget import score_best
 from ..scores.statistics import aim
 from .alarm_amplitude import tune_at_budget
-from .amplitude import (
-    EXACT,
-    SEARCH_PART,
-    Tuning,
-    TuningResult,
-    search_work,
-    tune_amplitude,
-    with_rates,
-)
+from .amplitude import EXACT, Tuning, TuningResult, search_work, tune_amplitude, with_rates
 from .backends import Backend, EngineBackend, ReplayBackend, Rows
 from .bounds import DisplacementBounds
 
@@ -580,7 +572,7 @@ def fit(
     if not entry.needs_search:
         yield from _tune(panel, [(k, d, entry) for k, d in detectors.items()], settings, tick)
         return
-    share = SEARCH_PART * search_work(settings, panel.runs)
+    share = 0.25 * search_work(settings, panel.runs)
     for number, detector in detectors.items():
         found = optima().find(detector, entry, lambda part: tick(share * part))
         curves = optima().curves_to_fit(found)
