@@ -113,6 +113,8 @@ def _leave(code: int) -> NoReturn:
         for number in HANDLED_SIGNALS:
             if signal.getsignal(number) is _interrupt:
                 signal.signal(number, signal.SIG_DFL)
+        if not reported:
+            typer.echo("spoofgym: interrupted", err=True)
         atexit._run_exitfuncs()
         for stream in (sys.stderr, sys.stdout):
             stream.flush()
@@ -130,8 +132,6 @@ def main() -> None:
         app()
     finally:
         if signals:
-            if not reported:
-                typer.echo("spoofgym: interrupted", err=True)
             _leave(128 + signals[0])
 
 
