@@ -99,9 +99,9 @@ $(VENV_RAY)/.installed: pyproject.toml constraints.txt constraints-ray.txt | $(V
 	  -e '.[$(extras_test),ray]' 'minari[arrow,create]'
 	@touch $@
 
+python_fits := import sys; print(sys.version_info >= (3, 11) or "")
+too_old = spoofgym needs Python 3.11 or newer, got $(shell $(PYTHON) --version 2>&1); try: make PYTHON=python3.12
+
 $(VENV)/bin/python $(VENV_RAY)/bin/python:
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
-	  echo "spoofgym needs Python 3.11 or newer, and $(PYTHON) is:" >&2; \
-	  $(PYTHON) --version >&2; \
-	  echo "choose another one: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 1; }
+	$(if $(shell $(PYTHON) -c '$(python_fits)' 2>/dev/null),,$(error $(too_old) $(MAKECMDGOALS)))
 	$(PYTHON) -m venv $(@:/bin/python=) || { rm -rf $(@:/bin/python=); exit 1; }

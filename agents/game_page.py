@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from statistics import fmean
 from typing import Any
 
 from spoofgym.bench.report.table import Table, interval
@@ -11,6 +13,7 @@ from spoofgym.core.settings import describe
 from spoofgym.detectors import DETECTORS
 from spoofgym.spoofers.base import sees_statistics
 
+TIGHTEST = 10
 HEAD = (
     *("iteration", "value, {runs} runs of `game`", "value on fresh runs"),
     *("gain of a spoofer, from below", "from above", "gain of a detector, from below"),
@@ -73,19 +76,35 @@ def _short(spec: dict[str, Any]) -> dict[str, Any]:
 
 
 def shown(kept: dict[str, Any]) -> str:
-    """Tables of the page: who plays whom, the iterations, and the mixes as pools."""
+    """Tables of the page: what spoofers gain from the detectors of the mixes, the detectors from
+    which they gain the least, the iterations, and the mixes as pools."""
     first, last = kept["iterations"][0], kept["iterations"][-1]
     knowledge, turns = kept["knowledge"], len(kept["iterations"]) - 1
     who = sorted(kept["values"], key=lambda name: sees_statistics(knowledge[name]))
     mixes = [(f"mix, iteration {k}", found) for k, found in ((0, first), (turns, last))]
-    head = ("detector", *(name for name, _ in mixes), *who)
-    rows = [("**observes**", "", "", *(knowledge[name] for name in who))]
-    for name, found in mixes:
-        cells = (_probability(found["mixes"]["spoofer"].get(each)) for each in who)
-        rows.append((f"**{name}**", "", "", *cells))
-    for j, detector in enumerate(kept["detectors"]):
-        own = (_probability(found["mixes"]["detector"].get(detector)) for _, found in mixes)
-        rows.append((detector, *own, *(_payoff(kept["values"][name][j]) for name in who)))
+    names = [name for name, _ in mixes]
+    values, detectors = kept["values"], kept["detectors"]
+    mixed = [
+        k for k, x in enumerate(detectors) if any(x in m["mixes"]["detector"] for _, m in mixes)
+    ]
+    spoofers = [
+        (
+            *(name, knowledge[name], *_weights(mixes, "spoofer", name)),
+            *(_payoff(values[name][k]) for k in mixed),
+        )
+        for name in who
+    ]
+    columns = zip(*values.values(), strict=True)
+    gains = [[x for x in each if x is not None] or [math.inf] for each in columns]
+    order = sorted(range(len(detectors)), key=lambda k: fmean(gains[k]))[:TIGHTEST]
+    tightest = [
+        (
+            *(detectors[k], *_weights(mixes, "detector", detectors[k])),
+            *(_payoff(fmean(gains[k])), _payoff(max(gains[k]))),
+        )
+        for k in order
+    ]
+    against = (f"against {detectors[k]}" for k in mixed)
     ends = [
         (
             *(str(k), interval(found["spread"], 3), interval(found["ends"]["value"], 3)),
@@ -100,7 +119,12 @@ def shown(kept: dict[str, Any]) -> str:
     titles = tuple(each.format(runs=kept["config"]["runs"]) for each in HEAD)
     final = kept["final"]
     lines = [
-        Table.of_texts(*head).markdown(rows),
+        Table.of_texts("spoofer", "observes", *names, *against).markdown(spoofers),
+        "",
+        f"The {len(order)} of {len(detectors)} detectors from which the spoofers gain the least in "
+        "the mean:",
+        "",
+        Table.of_texts("detector", *names, "mean payoff", "largest").markdown(tightest),
         "",
         Table.of_texts(*titles).markdown(ends),
         "",
@@ -118,8 +142,10 @@ def shown(kept: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _probability(estimate: dict[str, Any] | None) -> str:
-    return "" if estimate is None else interval(estimate, 2)
+def _weights(mixes: list[Any], side: str, name: str) -> list[str]:
+    """Probability of a player in each of the mixes."""
+    found = [mix["mixes"][side].get(name) for _, mix in mixes]
+    return ["" if each is None else interval(each, 2) for each in found]
 
 
 def _payoff(value: float | None) -> str:

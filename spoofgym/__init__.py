@@ -61,19 +61,17 @@ the sensors.  Prefixes say whose value it is: `true_`, `estimated_`, `counterfei
 
 **Environments**
 
-Importing the package registers, for `gymnasium.make` and `gymnasium.make_vec`,
-``spoofgym/TightlyCoupled-v0``, the world and the detector of task S1, ``spoofgym/Offsets-v0``, the
-same with an action for every satellite, ``spoofgym/Zhong2025-v0``, the same victim in the fixed and
-fast world of a paper, and the small environments ``spoofgym/LooselyCoupled-v0``,
-``spoofgym/Snapshot-v0`` and ``spoofgym/WheeledRobot-v0``.  The duel of a spoofer and a detector is
-`spoofgym.duel_v0`, for PettingZoo; one side of it against frozen opponents is
-``spoofgym/SpooferView-v0`` or ``spoofgym/DetectorView-v0``.
+Importing the package registers them for `gymnasium.make` and `gymnasium.make_vec`; their ids are
+listed below. The duel of a spoofer and a detector is `spoofgym.duel_v0`, for PettingZoo.
 """
 
+from importlib import import_module as _import_module
 from typing import TYPE_CHECKING, Any
 
+from .core.startup import check_python as _check_python
 from .core.startup import end_by_interrupts as _end_by_interrupts
 
+_check_python()
 _end_by_interrupts()  # before what takes a second
 
 from gymnasium.envs.registration import register  # noqa: E402
@@ -90,100 +88,42 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0.dev0"
 
-register(
-    id="spoofgym/TightlyCoupled-v0",
-    entry_point="spoofgym.envs:SpoofEnv",
-    vector_entry_point="spoofgym.envs:SpoofVectorEnv",
-    kwargs=_TASKS[_DEFAULT_TASK].env_kwargs,
-)
-
-register(
-    id="spoofgym/Zhong2025-v0",
-    entry_point="spoofgym.envs:SpoofEnv",
-    vector_entry_point="spoofgym.envs:SpoofVectorEnv",
-)
-
-register(
-    id="spoofgym/Offsets-v0",
-    entry_point="spoofgym.envs:SpoofEnv",
-    vector_entry_point="spoofgym.envs:SpoofVectorEnv",
-    kwargs={
-        **_TASKS[_DEFAULT_TASK].env_kwargs,
-        "control": "rate",
-        "basis": "satellites",
-        "decision_interval_s": 10.0,
-        "between": "linear",
-    },
-)
-
-register(
-    id="spoofgym/LooselyCoupled-v0",
-    entry_point="spoofgym.envs:SpoofEnv",
-    vector_entry_point="spoofgym.envs:SpoofVectorEnv",
-    kwargs={"victim": "loosely-coupled"},
-)
-
-register(
-    id="spoofgym/Snapshot-v0",
-    entry_point="spoofgym.envs:SpoofEnv",
-    vector_entry_point="spoofgym.envs:SpoofVectorEnv",
-    kwargs={"victim": "snapshot"},
-)
-
-register(
-    id="spoofgym/WheeledRobot-v0",
-    entry_point="spoofgym.envs:SpoofEnv",
-    vector_entry_point="spoofgym.envs:SpoofVectorEnv",
-    kwargs={"victim": "wheeled-robot"},
-)
-
-register(
-    id="spoofgym/SpooferView-v0",
-    entry_point="spoofgym.duel_v0:SpooferView",
-    vector_entry_point="spoofgym.duel_v0:SpooferVectorView",
-)
-
-register(
-    id="spoofgym/DetectorView-v0",
-    entry_point="spoofgym.duel_v0:DetectorView",
-    vector_entry_point="spoofgym.duel_v0:DetectorVectorView",
-)
-
-for _task in _TASKS.values():
+_ENV, _VIEW = "spoofgym.envs:Spoof{}Env", "spoofgym.duel.views:Spoofer{}View"
+_WORLD = _TASKS[_DEFAULT_TASK].env_kwargs
+_OFFSETS = {"control": "rate", "basis": "satellites", "decision_interval_s": 10.0}
+_KWARGS: dict[str, dict[str, Any]] = {
+    "TightlyCoupled-v0": _WORLD,
+    "Zhong2025-v0": {},
+    "Offsets-v0": {**_WORLD, **_OFFSETS, "between": "linear"},
+    "LooselyCoupled-v0": {"victim": "loosely-coupled"},
+    "Snapshot-v0": {"victim": "snapshot"},
+    "WheeledRobot-v0": {"victim": "wheeled-robot"},
+}
+_SIDES = ("Spoofer", "Detector")
+_DETECTOR_VIEW = "spoofgym.duel_v0:Detector{}View"
+for _id, _kind, _kwargs in (
+    *((f"spoofgym/{x}", _ENV, kwargs) for x, kwargs in _KWARGS.items()),
+    *((f"spoofgym/{x}View-v0", f"spoofgym.duel_v0:{x}{{}}View", {}) for x in _SIDES),
+    *((x.env_id, _VIEW if x.pooled else _ENV, x.env_kwargs) for x in _TASKS.values()),
+    *((x.env_id, _DETECTOR_VIEW, x.env_kwargs) for x in _DETECTOR_TASKS.values()),
+):
     register(
-        id=_task.env_id,
-        entry_point="spoofgym.duel.views:SpooferView" if _task.pooled else "spoofgym.envs:SpoofEnv",
-        vector_entry_point="spoofgym.duel.views:SpooferVectorView"
-        if _task.pooled
-        else "spoofgym.envs:SpoofVectorEnv",
-        kwargs=_task.env_kwargs,
+        id=_id,
+        entry_point=_kind.format(""),
+        vector_entry_point=_kind.format("Vector"),
+        kwargs=_kwargs,
     )
 
-for _detector_task in _DETECTOR_TASKS.values():
-    register(
-        id=_detector_task.env_id,
-        entry_point="spoofgym.duel_v0:DetectorView",
-        vector_entry_point="spoofgym.duel_v0:DetectorVectorView",
-        kwargs=_detector_task.env_kwargs,
-    )
+_LAZY = {
+    "audit": "bench.experiments.audit",
+    "evaluate": "bench.experiments.evaluate",
+    "evaluate_wrapped": "wrappers.evaluate",
+    "InnovationLog": "receiver.log",
+}
 
 
 def __getattr__(name: str) -> Any:
     """What is imported on first use, since its import is slow."""
-    if name == "evaluate":
-        from .bench.experiments.evaluate import evaluate
-
-        return evaluate
-    if name == "audit":
-        from .bench.experiments.audit import audit
-
-        return audit
-    if name == "evaluate_wrapped":
-        from .wrappers.evaluate import evaluate_wrapped
-
-        return evaluate_wrapped
-    if name == "InnovationLog":
-        from .receiver.log import InnovationLog
-
-        return InnovationLog
+    if name in _LAZY:
+        return getattr(_import_module(f"{__name__}.{_LAZY[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

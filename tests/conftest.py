@@ -9,11 +9,15 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import hypothesis
 import pytest
 from numba.core import event
+
+from spoofgym.core import progress
 
 # The first example may compile a kernel, which no deadline allows for; the same code draws the
 # same examples everywhere.
@@ -69,6 +73,21 @@ def _torch_threads() -> Iterator[None]:
     yield
     if torch is not None:
         torch.set_num_threads(before)
+
+
+@pytest.fixture
+def bars(monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, list[float]]]:
+    """Bars that a terminal would have shown: the work that each expects, and reports of it."""
+    found: list[tuple[float, list[float]]] = []
+
+    @contextmanager
+    def show(total: float, **_: str) -> Iterator[SimpleNamespace]:
+        found.append((total, []))
+        yield SimpleNamespace(advance=lambda amount, now: found[-1][1].append(amount))
+
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr(progress, "show_progress", show)
+    return found
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -32,7 +32,7 @@ def test_a_data_set_is_written_summed_up_and_gone_on_with():
     before = content(Path("data"))
     assert found["digest"] in call("dataset", "data", *more).stdout
     first, _ = (call("dataset", "parts", *more, "--shard", f"{i}/2") for i in (1, 2))
-    assert "shard 1/2 is finished; others leave" in first.stderr
+    assert "shard 1/2 is finished; cells left by others" in first.stderr
     assert content(Path("parts")) == before
     other = ["dataset", "data", *SHORT, *SMALL]
     assert "holds other results (config.entropy: 3, not 0" in refused(*other)

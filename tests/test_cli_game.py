@@ -39,7 +39,7 @@ def test_json_is_the_matrix_and_its_equilibrium_also_of_shards(tmp_path):
     # each meets both detectors in one pass
     first, second = (call(*line, parts, "--shard", f"{i}/2") for i in (1, 2))
     assert (first.exit_code, first.stdout) == (0, "")
-    assert "shard 1/2 is finished; others leave" in first.stderr
+    assert "shard 1/2 is finished; cells left by others" in first.stderr
     assert second.stdout == printed
 
 

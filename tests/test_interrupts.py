@@ -191,7 +191,7 @@ def test_an_interrupt_ends_the_program_before_the_interpreter_and_is_not_dropped
     process = started("-c", program, number.name, folder=tmp_path)
     found, said = process.communicate(timeout=120.0)
     assert process.returncode == 128 + number, said.decode()
-    assert (found, said) == (printed, b"")
+    assert (found, said) == (printed, b"spoofgym: interrupted\n")
 
 
 def test_progress_leaves_no_thread_that_nobody_waits_for(monkeypatch):

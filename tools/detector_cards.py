@@ -20,7 +20,7 @@ from spoofgym.bench.scores.detector import DetectorScore
 from spoofgym.cli.app import progress
 from spoofgym.core.registry import check_choice, format_label
 from spoofgym.tasks import DETECTOR_TASKS, DetectorTask, get_detector_task
-from tools.pages import DOCS, ROOT, keep_cards, put_between, render_page
+from tools.pages import DOCS, ROOT, fit_tables, keep_cards, put_between, render_page
 
 CARD_FILE, PAGE = ROOT / "spoofgym" / "bench" / tasks.DETECTOR_FILE, DOCS / "detector_tasks.md"
 START, END = "<!-- detector-cards:begin -->", "<!-- detector-cards:end -->"
@@ -102,7 +102,7 @@ def shown() -> str:
     for key, card in cards.items():
         if left := list_unscored(DETECTOR_TASKS[key], card):
             waiting.setdefault(", ".join(left), []).append(key)
-    return render_page(
+    page = render_page(
         "detector_tasks.md.j2",
         scores=tasks.CARDS.markdown(tasks.list_score_rows(cards)),
         cards=cards,
@@ -111,6 +111,7 @@ def shown() -> str:
         family_table=family_table,
         rank_scores=tasks.rank_scores,
     )
+    return fit_tables(page)
 
 
 def main(arguments: list[str]) -> None:

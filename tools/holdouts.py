@@ -27,7 +27,7 @@ from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, hourly_rate, loa
 from spoofgym.simulation.setup import Setup
 from spoofgym.simulation.simulator import weighs
 from tools.calibrations import HEADLINES, build_setup, list_detectors
-from tools.pages import DOCS, put_between, render_page
+from tools.pages import DOCS, fit_tables, put_between, render_page
 
 DATA_FILE, PAGE = DOCS / "holdouts.json", DOCS / "calibration_worlds.md"
 START, END = "<!-- holdouts:begin -->", "<!-- holdouts:end -->"
@@ -130,32 +130,38 @@ def _mean(rows: list[dict[str, Any]], window_s: float) -> float:
 
 
 def shown(kept: dict[str, Any]) -> str:
-    return render_page("holdouts.md.j2", worlds=kept["worlds"], table=_table)
+    page = render_page("holdouts.md.j2", worlds=kept["worlds"], table=_table, others=_others)
+    return fit_tables(page)
 
 
 def _table(world: dict[str, Any]) -> Table:
-    others = ((name.removeprefix("headline-"), name) for name in world["detectors"][0]["in"])
     rare = methodcaller("get", "rare")
     return Table(
         ("detector", "name"),
-        ("calibrated on", "calibrated", "{:,}".format),
-        ("fresh runs", "runs", "{:,}".format),
-        ("with an alarm", "alarms", "{:,}".format),
-        ("predicted", _format_interval),
+        ("with an alarm (predicted)", _format_count),
         ("per hour", lambda row: _rate(row["per_hour"])),
         (
             "in the worst sky (by chance)",
             lambda x: f"{_rate(x['worst_world_per_hour'])} ({_rate(x['worst_world_by_chance'])})",
         ),
-        (f"with an alarm at {RARE_RATE:g} an hour", rare, lambda found: f"{found['alarms']:,}"),
-        ("predicted", rare, _format_interval),
+        (f"with an alarm at {RARE_RATE:g} an hour (predicted)", rare, _format_count),
         ("alarm before it [%]", lambda row: f"{100 * row['early'] / row['runs']:.2g}"),
-        *((f"per hour in {short}", lambda x, n=name: _rate(x["in"][n])) for short, name in others),
     )
 
 
-def _format_interval(row: dict[str, Any]) -> str:
-    return f"{row['low']} to {row['high']}" + ("" if row["holds"] else ", outside")
+def _others(world: dict[str, Any]) -> Table:
+    names = ((name.removeprefix("headline-"), name) for name in world["detectors"][0]["in"])
+    return Table(
+        ("detector", "name"),
+        ("calibrated on", "calibrated", "{:,}".format),
+        ("fresh runs", "runs", "{:,}".format),
+        *((f"per hour in {short}", lambda x, n=name: _rate(x["in"][n])) for short, name in names),
+    )
+
+
+def _format_count(row: dict[str, Any]) -> str:
+    outside = "" if row["holds"] else ", outside"
+    return f"{row['alarms']:,} ({row['low']} to {row['high']}{outside})"
 
 
 def _rate(per_hour: float | None) -> str:

@@ -22,7 +22,7 @@ from agents.spoofer_table import RIVALS, page
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.core.files import write_file
 
-from .pages import DOCS, marks, parse_folders, put_between
+from .pages import DOCS, fit_tables, marks, parse_folders, put_between
 from .refits import RESULTS as REFITS
 from .refits import table as table_of_refits
 
@@ -172,7 +172,7 @@ def main() -> None:
     kept = {part: dict(sorted(found.items())) for part, found in kept.items()}
     write_json(DATA_FILE, kept)
     for mark, (part, show) in TABLES.items():
-        put_between(find_page(mark), *marks(mark), show(kept[part]))
+        put_between(find_page(mark), *marks(mark), fit_tables(show(kept[part])))
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ from spoofgym.simulation.setup import seed_sequences
 from spoofgym.simulation.simulator import weighs
 from spoofgym.simulation.tight import TightlyCoupledSetup
 
-from .pages import DOCS, marks, put_between
+from .pages import DOCS, fit_tables, marks, put_between
 from .scored import get_sizes, make_parser
 
 PAGE, DATA_FILE = DOCS / "offsets.md", DOCS / "offsets.json"
@@ -138,7 +138,7 @@ def rows(label: str, found: Mapping[str, Any]) -> tuple[str, ...]:
 def write_page(kept: Mapping[str, Any]) -> None:
     lines = [rows(label, each) for label, each in kept["cases"].items()]
     table = Table.of_texts(*HEAD).markdown(lines)
-    put_between(PAGE, *marks("offsets-worth"), f"{table}\n")
+    put_between(PAGE, *marks("offsets-worth"), fit_tables(f"{table}\n"))
 
 
 @error_lines()

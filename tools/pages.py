@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import math
+import re
 from collections.abc import Iterable, Mapping
+from itertools import groupby, pairwise
+from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from agents.folder import write_json
 from spoofgym.bench.report import table
@@ -13,6 +17,8 @@ from spoofgym.core.files import write_file
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
+MOST_ROWS, MOST_COLUMNS = 10, 6
+T = TypeVar("T")
 TEMPLATES = Path(__file__).with_name("templates")
 
 
@@ -44,6 +50,38 @@ def put_between(page: Path, begin: str, end: str, text: str) -> None:
 def render_page(name: str, **values: Any) -> str:
     """A template of the folder beside."""
     return table.render_template(name, values, TEMPLATES)
+
+
+def fit_tables(text: str) -> str:
+    """Divide Markdown tables that are larger than a page allows: by rows, where the first column
+    gives groups by these, and by columns, each part with those that name its rows."""
+    return re.sub(r"(?:^\|.*\n)+", lambda found: _divide(found[0]), text, flags=re.MULTILINE)
+
+
+def _divide(table: str) -> str:
+    head, ruler, *rows = (re.split(r"(?<!\\)\|", line)[1:-1] for line in table.splitlines())
+    if len(rows) <= MOST_ROWS and len(head) <= MOST_COLUMNS:
+        return table
+    keys = next(k for k in range(1, len(head)) if len({(*row[:k],) for row in rows}) == len(rows))
+    groups = [list(own) for _, own in groupby(rows, itemgetter(0))]
+    if len(rows) <= MOST_ROWS or min(map(len, groups)) < 2:
+        groups = [rows]
+    parts = [some for own in groups for some in _share(own, MOST_ROWS)]
+    names, values = [*range(keys)], [*range(keys, len(head))]
+    tables = []
+    for some in _share(values, MOST_COLUMNS - keys):
+        for own in parts:
+            filled = [row for row in own if any(row[k].strip(" -") for k in some)]
+            lines = (head, ruler, *filled)
+            tables += ["".join(f"|{'|'.join(row[k] for k in names + some)}|\n" for row in lines)]
+    return "\n".join(tables)
+
+
+def _share(items: list[T], most: int) -> list[list[T]]:
+    """Parts of a list, as few as there can be of that size, and as even."""
+    count = math.ceil(len(items) / most)
+    ends = [round(k * len(items) / count) for k in range(count + 1)]
+    return [items[a:b] for a, b in pairwise(ends)]
 
 
 def keep_cards(file: Path, cards: Mapping[str, Any], order: Iterable[str]) -> None:

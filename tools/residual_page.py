@@ -12,7 +12,7 @@ from typing import Any
 from agents.folder import write_json
 from train.residual_ppo import build_table
 
-from .pages import DOCS, marks, parse_folders, put_between
+from .pages import DOCS, fit_tables, marks, parse_folders, put_between
 
 PAGE, DATA_FILE = DOCS / "corrections.md", DOCS / "residual.json"
 
@@ -33,7 +33,7 @@ def main() -> None:
     for folder in parse_folders("Write the page of residual spoofers."):
         kept = take(json.loads((folder / "results.json").read_text()), kept)
     write_json(DATA_FILE, kept)
-    put_between(PAGE, *marks("residual"), f"{build_table(kept)}\n")
+    put_between(PAGE, *marks("residual"), fit_tables(f"{build_table(kept)}\n"))
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ from spoofgym.simulation.simulator import episode_seeds
 from spoofgym.tasks import TASKS, Task, get_task
 from spoofgym.tasks.v2 import TASKS as PLAYED
 from spoofgym.truth.sensors import draw_source_keys
-from tools.pages import DOCS, ROOT, keep_cards, put_between, render_page
+from tools.pages import DOCS, ROOT, fit_tables, keep_cards, put_between, render_page
 
 CARD_FILE, PAGE = ROOT / "spoofgym" / "bench" / tasks.FILE, DOCS / "tasks.md"
 START, END = "<!-- cards:begin -->", "<!-- cards:end -->"
@@ -228,13 +228,14 @@ def dealt(moved: list[FloatArray], sky: IntArray) -> float:
 
 
 def shown() -> str:
-    return render_page(
+    page = render_page(
         "tasks.md.j2",
         scores=tasks.TASK_SCORES.markdown(tasks.task_rows()),
         admission=tasks.ADMISSION.markdown(tasks.admission_rows()),
         cards={key: card for key, card in tasks.stored_cards().items() if key in PLAYED},
         missing={key: command for key, command in tasks.missing().items() if key in PLAYED},
     )
+    return fit_tables(page)
 
 
 def main(arguments: list[str]) -> None:

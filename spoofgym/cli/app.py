@@ -18,10 +18,12 @@ from typing import Any, NoReturn, ParamSpec, TextIO, TypeVar
 import typer
 from typer import Option
 
-from ..core.progress import ProgressCallback, show_progress
+from ..core.progress import START, ProgressCallback, show_progress
 
 signals: list[int] = []
 """Signals that requested the end of the program."""
+reported: list[str] = []
+"""What a command has said of its interrupt."""
 outputs: list[TextIO] = []
 """Standard output of a command that prints JSON, and nothing else."""
 HANDLED_SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -71,7 +73,8 @@ def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
         except KeyboardInterrupt as error:
             if not str(error):
                 raise
-            typer.echo(f"spoofgym: {error}", err=True)  # what is finished
+            reported.append(str(error))  # what is finished
+            typer.echo(f"spoofgym: {error}", err=True)
             raise typer.Exit(INTERRUPTED) from error
 
     return wrapper
@@ -110,6 +113,8 @@ def _leave(code: int) -> NoReturn:
         for number in HANDLED_SIGNALS:
             if signal.getsignal(number) is _interrupt:
                 signal.signal(number, signal.SIG_DFL)
+        if not reported:
+            typer.echo("spoofgym: interrupted", err=True)
         atexit._run_exitfuncs()
         for stream in (sys.stderr, sys.stdout):
             stream.flush()
@@ -172,5 +177,4 @@ def print_written(files: Sequence[Path]) -> None:
 
 def progress(total: float) -> AbstractContextManager[ProgressCallback]:
     """Show how far a command is, until it ends."""
-    start = "compiling, a minute the first time"
-    return show_progress(total, start=start, interrupted=lambda: signals)
+    return show_progress(total, start=START, interrupted=lambda: signals)

@@ -112,7 +112,7 @@ def finish_experiment(
             raise KeyboardInterrupt from None
         raise
     if left := len(results.missing):
-        typer.echo(f"shard {shard} is finished; others leave {left} cells of {out}", err=True)
+        typer.echo(f"shard {shard} is finished; cells left by others in {out}: {left}", err=True)
         raise typer.Exit
     return results
 

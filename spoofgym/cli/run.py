@@ -25,7 +25,8 @@ class RunOptions(SuiteOptions):
 
     detector: str | None = Option(
         None,
-        help="Detector; an .onnx file, too. Default: ewma, or one that suits the victim. "
+        help="Detector; an .onnx file, too. Default: that of the world; with --scenario or "
+        "--track ewma, or one that suits the victim. "
         f"{opt.SPEC_HELP}",
     )
     spoofer: str = Option(
@@ -56,7 +57,11 @@ def run(
     as_json: opt.Json = False,
     options: RunOptions,
 ) -> None:
-    """Play one run of the benchmark and its clean twin: a summary, and a picture or animation."""
+    """Play one run of the benchmark and its clean twin: a summary, and a picture or animation.
+
+    By default it is a ramp of 0.5 m/s in the world of task S1, against the detector of S1; with
+    --scenario zhong2025 in the papers' world, which is faster.
+    """
     from ..bench.report.table import FIELDS
     from ..bench.runs.episode import draw_episode, play_episode
     from ..core.files import COLUMN_FILES, check_pyarrow, write_columns

@@ -157,7 +157,7 @@ def leave_uncalibrated(
         each = "; ".join(f"{entry.label}: {expect(entry)}" for entry in left)
         return suite, f"calibrated first, and stored: {each}"
     labels = [entry.label for entry in left]
-    note = f"{', '.join(labels)}{LEFT_OUT}a quick audit makes no calibration"
+    note = f"left out, as a quick audit makes no calibration: {', '.join(labels)}"
     accepted = [e.spec for e in suite.detector_players if e.label not in labels]
     return replace(suite, detectors=accepted, notes=(*suite.notes, note)), note
 

@@ -211,7 +211,8 @@ class _Notice(event.Listener):  # type: ignore[misc]
 
     shown = False
 
-    def __init__(self) -> None:
+    def __init__(self, may_show: Callable[[], bool] = lambda: True) -> None:
+        self.may_show = may_show
         self._depth, self._spent, self._since = 0, 0.0, math.inf
         self._what = ""  # package and function that Python called
 
@@ -235,10 +236,19 @@ class _Notice(event.Listener):  # type: ignore[misc]
         spent = self._spent + time.monotonic() - self._since
         if spent >= NOTICE_S and not self.shown:
             self.shown = True
-            print(NOTICE.format(self._what), file=sys.stderr, flush=True)
+            if self.may_show():
+                print(NOTICE.format(self._what), file=sys.stderr, flush=True)
 
 
-event.register("numba:compile", _Notice())
+_notice = _Notice()
+event.register("numba:compile", _notice)
+
+
+def share_notice(claim: Callable[[], bool]) -> None:
+    """Of several processes let the one whose `claim` succeeds first say what takes so long."""
+    _notice.may_show = claim
+    if _notice.shown:
+        claim()
 
 
 def is_disabled() -> bool:

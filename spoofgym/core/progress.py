@@ -14,6 +14,7 @@ from . import threads as _threads
 
 REFRESH_S = 0.1  # how often the time in a bar is drawn
 NAME = 64  # letters of what is going on that a line shows
+START = "compiling, a minute the first time"
 FORETOLD = 0.02  # part that is done before the time left is worth a line
 PART_S, LINE_S = 10.0, 60.0
 """Least times between lines where there is no terminal, before another part and within one."""
@@ -86,6 +87,12 @@ class _Lines:
                 times += f", some {passed * (1.0 - part) / part:.0f} s left"
             label = description if len(description) <= NAME else f"{description[: NAME - 4]} ..."
             print(f"{label}: {100.0 * part:.0f} %, {times}", file=sys.stderr, flush=True)
+
+
+def show_on_terminal(total: float) -> AbstractContextManager[ProgressCallback]:
+    """Open the bar where stderr is a terminal: what long functions do that are given none."""
+    shown = sys.stderr is not None and sys.stderr.isatty()
+    return show_progress(total, start=START) if shown else no_progress(total)
 
 
 @contextmanager

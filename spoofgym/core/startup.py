@@ -5,17 +5,25 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn
 
 PROGRAM = "spoofgym"
+OLDEST_PYTHON = 3, 11
 
 
 def is_program() -> bool:
     """Whether this process is the command line, as a script or by ``python -m``."""
-    by_module = ("-m", PROGRAM) in pairwise(sys.orig_argv)
+    words = getattr(sys, "orig_argv", ["-m", PROGRAM])  # which Python 3.9 lacks
+    by_module = PROGRAM in words and words[words.index(PROGRAM) - 1] == "-m"
     return by_module or Path("".join(sys.argv[:1])).stem == PROGRAM
+
+
+def check_python() -> None:
+    """Refuse an older Python: the program in one line, an import by its error."""
+    if sys.version_info[:2] < OLDEST_PYTHON:
+        text = f"spoofgym needs Python 3.11 or newer, this is {sys.version.split()[0]}"
+        raise SystemExit(f"spoofgym: error: {text}") if is_program() else ImportError(text)
 
 
 def end_by_interrupts() -> None:

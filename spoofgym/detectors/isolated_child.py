@@ -29,6 +29,7 @@ from ..core.children import (
     end_with_parent,
     limit_resources,
 )
+from ..core.compile import share_notice
 from ..core.memory import Memory
 from ..core.registry import require
 from ..receiver.epoch import Epoch
@@ -187,6 +188,7 @@ def load_kernels() -> None:
 
 def serve_host(channel: Channel) -> None:
     """Load a detector, say what it is, and fork for every socket that the parent sends."""
+    share_notice(lambda: False)  # the parent, which compiles more, says so
     try:
         given = pickle.loads(channel.receive())
         detector = given if isinstance(given, Detector) else bare_detector(given)

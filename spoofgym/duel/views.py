@@ -79,8 +79,8 @@ class SpooferSide:
         if core.observation_names != before.observation_names:
             now, self.labels = self.labels, labels
             raise ValueError(
-                f"the pool {', '.join(now)} gives the spoofer {len(core.observation_names)} "
-                f"observations, but {', '.join(labels)} gave {len(before.observation_names)}"
+                f"the spoofer has {len(core.observation_names)} observations against the pool "
+                f"{', '.join(now)}, but {len(before.observation_names)} against {', '.join(labels)}"
             )
         before.close()
         self.core = core

@@ -98,6 +98,7 @@ class OnnxModel:
 
 
 def make_session(content: bytes) -> Any:
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # else it sends, and writes into the home
     import onnxruntime
 
     options = onnxruntime.SessionOptions()

@@ -303,8 +303,8 @@ def fill_slots(
     if (few := np.flatnonzero(count < 4)).size:
         k = int(few[0])
         raise ValueError(
-            f"only {count[k]} satellites are above {mask_deg:g} deg at "
-            f"{f'{time[k]:g} s' if k else 'time zero'}; a {'' if k else 'first '}fix needs 4"
+            f"a {'' if k else 'first '}fix needs 4 satellites above {mask_deg:g} deg, got "
+            f"{count[k]} at {f'{time[k]:g} s' if k else 'time zero'}"
             + (explain(float(time[k])) if explain else "")
         )
     return chosen, ids, seen

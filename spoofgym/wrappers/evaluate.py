@@ -18,6 +18,7 @@ from ..bench.scores.statistics import (
     interval,
     wilson,
 )
+from ..core.progress import ProgressBar, ProgressCallback, show_on_terminal
 from ..core.registry import whole_number
 from ..detectors.calibrated import STANDARD_RATE
 from ..detectors.calibration_file import (
@@ -125,6 +126,7 @@ def evaluate_wrapped(
     false_alarms_per_hour: float = STANDARD_RATE,
     entropy: int = 0,
     threads: int | None = None,
+    progress: ProgressBar | None = None,
 ) -> WrappedScore:
     """Score the detector that the wrappers of an environment make.
 
@@ -156,6 +158,9 @@ def evaluate_wrapped(
         Seed of all runs.
     threads : int, optional
         Threads of the engine.
+    progress : callable, optional
+        Opens a bar, such as `spoofgym.core.progress.show_progress`; by default that one where
+        stderr is a terminal.
 
     Returns
     -------
@@ -176,8 +181,9 @@ def evaluate_wrapped(
     recorder = Recorder(env, whole_number("`entropy`", entropy), threads)
     for each in spoofers:
         recorder.attach(each)
-    with replaced_bottom(env) as bottom:
-        judge = _Judge(env, bottom)
+    work = runs * (2.0 + len(spoofers))
+    with replaced_bottom(env) as bottom, (progress or show_on_terminal)(work) as bar:
+        judge = _Judge(env, bottom, bar)
         blocks = [range(first, min(first + BLOCK, runs)) for first in range(0, runs, BLOCK)]
         scale = _calibrate(judge, recorder, blocks, rate)
         clean, seconds, played = [], [], [[] for _ in spoofers]  # type: ignore[var-annotated]
@@ -252,8 +258,8 @@ def _calibrate(
 class _Judge:
     """Plays streams through the wrappers of an environment."""
 
-    def __init__(self, env: Any, bottom: Any) -> None:
-        self.env, self.bottom = env, bottom
+    def __init__(self, env: Any, bottom: Any, bar: ProgressCallback) -> None:
+        self.env, self.bottom, self.bar = env, bottom, bar
         self.size = getattr(bottom, "num_envs", 1)
 
     def gives_statistic(self, stream: Stream) -> bool:
@@ -308,6 +314,7 @@ class _Judge:
             chosen += chosen[-1:] * (self.size - len(chosen))
             look = lambda number, now, rows=rows: update(rows, now, number)  # noqa: E731
             play_streams(self.env, self.bottom, chosen, look)
+            self.bar.advance(len(rows), "runs through the wrappers")
 
 
 CHECKED_RUNS = 3

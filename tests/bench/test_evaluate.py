@@ -98,8 +98,10 @@ def test_ratios_are_paired_and_have_an_interval_of_oracles_only_where_asked_for(
     assert both == pytest.approx(1.0)
 
 
-def test_amplitudes_are_fitted_exactly_but_in_the_first_suite(ramp):
+def test_amplitudes_are_fitted_exactly_but_in_the_first_suite(ramp, bars):
     exact, upper = (evaluate("ramp", **WORLD, **SIZES, **x) for x in ({}, {"rule": UPPER_LIMIT}))
+    assert all(0.3 < sum(done) / total < 3.0 for total, done in bars)
+    assert len(bars) == 2
     assert exact.at_budget["budget"] == 0.05
     assert exact.stealthy_displacement_m.as_json() == exact.at_budget[MEASURES[0]]
     assert upper == ramp

@@ -66,7 +66,7 @@ def test_a_quick_audit_leaves_out_detectors_without_thresholds():
     label = whole.detector_players[1].label
     part, note = leave_uncalibrated(whole, None)
     assert [each.label for each in part.detector_players] == ["never"]
-    assert note == f"{label} is left out: a quick audit makes no calibration"
+    assert note == f"left out, as a quick audit makes no calibration: {label}"
     assert part.notes == (note,)
     same, text = leave_uncalibrated(whole, lambda entry: "2000 clean runs")
     assert same is whole

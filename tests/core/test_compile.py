@@ -163,7 +163,8 @@ def test_compiling_is_said_when_it_has_taken_two_seconds_in_all(monkeypatch, cap
     monkeypatch.setattr(compiling, "NOTICE_S", 2.0)
     clock = 0.0
     monkeypatch.setattr(compiling, "time", types.SimpleNamespace(monotonic=lambda: clock))
-    notice = compiling._Notice()
+    claims = iter([True, False])
+    notice = compiling._Notice(lambda: next(claims))
     ours, theirs = {"dispatcher": wgs84.gravity}, {"dispatcher": numba.njit(lambda x: x)}
     for compiled, seconds, said in ((theirs, 5.0, ""), (ours, 1.5, ""), (ours, 0.25, "")):
         notice.on_start(event.Event("numba:compile", event.EventStatus.START, compiled))
@@ -176,7 +177,10 @@ def test_compiling_is_said_when_it_has_taken_two_seconds_in_all(monkeypatch, cap
     notice.on_start(event.Event("numba:compile", event.EventStatus.START, theirs))  # called by it
     assert capsys.readouterr().err == f"{NOTICE}\n"
     notice.on_end(event.Event("numba:compile", event.EventStatus.END, theirs))
+    notice.shown = False  # as in another process, after which it is no longer its turn
+    notice.on_end(event.Event("numba:compile", event.EventStatus.END, ours))
     assert capsys.readouterr().err == ""
+    assert list(claims) == []
 
 
 SCRIPT = """

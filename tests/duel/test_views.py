@@ -207,7 +207,7 @@ def test_the_spoofers_view_draws_its_episodes_and_changes_its_pool():
     assert view.opponent == "cusum"
     view.close()
     view = duel_v0.SpooferView("ewma", **BRIEF, knowledge="oracle")
-    with pytest.raises(ValueError, match=r"the pool snapshot-chi2 gives .* but ewma gave"):
+    with pytest.raises(ValueError, match=r"against the pool snapshot-chi2, but .* against ewma"):
         view.set_pool("snapshot-chi2")
 
 

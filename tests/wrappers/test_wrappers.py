@@ -134,7 +134,7 @@ def test_a_model_plays_by_its_own_observations_and_one_that_does_not_fit_is_refu
         evaluate_wrapped(env, 40, spoofers=["ewma-ppo"], **own)
 
 
-def test_single_and_vector_have_the_same_score(score):
+def test_single_and_vector_have_the_same_score(score, bars):
     class Row(vector.EpochInfo):
         def reset(self, **kwargs):
             observation, info = super().reset(**kwargs)
@@ -154,6 +154,7 @@ def test_single_and_vector_have_the_same_score(score):
     envs = gym.make_vec(ID, num_envs=3, detector="never", timeline=SHORT)
     again = evaluate_wrapped(Row(envs, ()), 40, false_alarms_per_hour=10.0, spoofers=[FAST])
     assert again == score
+    assert [sum(done) for _, done in bars] == [total for total, _ in bars] == [120.0]
 
 
 @pytest.mark.parametrize("as_statistic", [False, True])

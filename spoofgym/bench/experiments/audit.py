@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from ...core.progress import ProgressBar
+from ...core.progress import ProgressBar, show_on_terminal
 from ...detectors import detector_in_world
 from ...receiver.log import InnovationLog
 from ...tasks import DetectorTask
@@ -101,7 +101,8 @@ def audit(
         Size of all that is played: some 3, 1 or 12 minutes of a processor for a plain detector in
         D1.
     progress : callable, optional
-        Opens a bar, such as `spoofgym.core.progress.show_progress`.
+        Opens a bar, such as `spoofgym.core.progress.show_progress`; by default that one where
+        stderr is a terminal.
     log : InnovationLog or path-like, optional
         Log of a receiver, on whose clean windows it plays in place of a task; thresholds are those
         of its own windows.  Of the settings it has ``families``, ``threads`` and ``folder``.
@@ -136,8 +137,9 @@ def audit(
     auditor: Auditor | LogAuditor = (
         Auditor(task, budget, **settings) if log is None else LogAuditor(log, budget, **settings)
     )
-    cells = auditor.prepare(detector, progress)
-    return cells.conclude(_play(cells, auditor.folder, settings.get("threads"), progress))
+    show = progress or show_on_terminal
+    cells = auditor.prepare(detector, show)
+    return cells.conclude(_play(cells, auditor.folder, settings.get("threads"), show))
 
 
 def _play(

@@ -317,9 +317,8 @@ class Campaign(Experiment):
     def _work(self, kind: str, spoofer: PlayerSpec | None) -> float:
         suite = self.suite
         if kind == SEARCH:
-            return search_work(suite.tuning, suite.runs) * (
-                5.25 if spoofer and spoofer.needs_search else 1.0
-            )
+            curves = spoofer is not None and spoofer.needs_search
+            return search_work(suite.tuning, suite.runs, curves=curves)
         if kind == RUNS:
             return suite.runs * (WARM_UP if spoofer and spoofer.label == "none" else 1.0)
         if kind == PROTECTION and suite.selection is not None:

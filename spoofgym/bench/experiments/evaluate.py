@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import nullcontext
 from functools import cached_property
 from typing import Any
 
-from ...core.progress import NullProgress, ProgressCallback
+from ...core.progress import NullProgress, ProgressCallback, show_on_terminal
 from ...core.registry import check_keywords, whole_number
 from ...spoofers.scaled import AMPLITUDE, Scaled
 from ...tasks import get_task
@@ -17,7 +18,7 @@ from ..runs.world import WORLD, World, read_training_world
 from ..scores import statistics
 from ..scores.scores import score_stealth, select_clusters
 from ..scores.spoofer import SpooferScore
-from ..search.amplitude import EXACT, UPPER_LIMIT, Tuning, TuningResult, with_rates
+from ..search.amplitude import EXACT, UPPER_LIMIT, Tuning, TuningResult, search_work, with_rates
 from ..search.bounds import DisplacementBounds
 from ..search.open_loop import Optima, fit
 
@@ -117,7 +118,15 @@ class Evaluator:
         largest_amplitude: float | None = None,
     ) -> SpooferScore:
         """Score of one spoofer on the evaluation runs, as `evaluate` returns it."""
-        entry = specify_policy(policy, amplitude, knowledge, label, largest_amplitude)
+        return self.play(specify_policy(policy, amplitude, knowledge, label, largest_amplitude))
+
+    def expect_work(self, entry: PlayerSpec) -> float:
+        """Runs that a score takes, roughly."""
+        searched = search_work(self.tuning, self.runs, curves=entry.needs_search)
+        return self.runs + (0.0 if entry.tuned is None else searched)
+
+    def play(self, entry: PlayerSpec) -> SpooferScore:
+        """Score of one spoofer, as `score` has specified it."""
         setting, spec, within, value = entry.tuned, entry.fixed_spec, None, None
         exact: dict[str, Any] | None = None
         if setting is not None:
@@ -224,7 +233,7 @@ def evaluate(
     threads : int, optional
         Threads of the engine.
     progress : ProgressCallback, optional
-        Shows how far it is.
+        Shows how far it is; by default a bar does where stderr is a terminal.
     **world
         Without a task: ``detector``, ``env``, the id of an environment, and what differs from its
         settings, such as ``scenario``, ``receiver``, ``attack``, ``timeline`` and ``domain``.  With
@@ -262,19 +271,9 @@ def evaluate(
     """
     if task is None and not {*world} - {"detector"}:
         world = {**read_training_world(policy), **world}
-    return Evaluator(
-        task,
-        runs=runs,
-        fit_runs=fit_runs,
-        rule=rule or get_rule(task),
-        entropy=entropy,
-        threads=threads,
-        progress=progress,
-        **world,
-    ).score(
-        policy,
-        amplitude=amplitude,
-        knowledge=knowledge,
-        label=label,
-        largest_amplitude=largest_amplitude,
-    )
+    sizes: dict[str, Any] = {"runs": runs, "fit_runs": fit_runs, "threads": threads}
+    judge = Evaluator(task, rule=rule or get_rule(task), entropy=entropy, **sizes, **world)
+    entry = specify_policy(policy, amplitude, knowledge, label, largest_amplitude)
+    show = show_on_terminal if progress is None else lambda _: nullcontext(progress)
+    with show(judge.expect_work(entry)) as judge.progress:
+        return judge.play(entry)

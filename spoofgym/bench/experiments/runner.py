@@ -33,6 +33,7 @@ import cloudpickle
 import numpy as np
 from joblib import cpu_count
 
+from ...core.compile import share_notice
 from ...core.progress import ProgressBar, ProgressCallback, RemainingWork, no_progress
 from ...core.registry import check_choice, whole_number
 from .store import Cell, Reader, Result, Store
@@ -343,13 +344,14 @@ def _workers(
 @contextmanager
 def _loky(work: Send, _: str, jobs: int, threads: int) -> Iterator[_Workers]:
     """Processes of this machine."""
+    from joblib.externals.loky.backend import get_context
     from joblib.externals.loky.process_executor import BrokenProcessPool, ProcessPoolExecutor
 
+    noticed = get_context().Lock()  # held by the process that has said that it compiles
+    share_notice(partial(noticed.acquire, block=False))
+    given = os.getpid(), noticed
     env = dict.fromkeys(ONE_THREAD, "1")
-    pool = ProcessPoolExecutor(
-        jobs, initializer=_initialize_worker, initargs=(os.getpid(),), env=env
-    )
-
+    pool = ProcessPoolExecutor(jobs, initializer=_initialize_worker, initargs=given, env=env)
     last: list[Future[None]] = []
 
     def submit(task: _Task, _: RemainingWork) -> Future[None]:
@@ -380,9 +382,10 @@ def _block_ctrl_c() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _initialize_worker(parent: int) -> None:
+def _initialize_worker(parent: int, noticed: Any) -> None:
     """Leave Ctrl-C to the process that started this one, and end when it does, however it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    share_notice(partial(noticed.acquire, block=False))
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -35,6 +35,7 @@ RULES = UPPER_LIMIT, EXACT = "upper-limit", "exact"
 """How an amplitude is fitted to the alarm budget: by the upper 95 % limit of the alarm rate on
 training runs, or to exactly the budget on the runs that are scored (`alarm_amplitude`)."""
 EXACT_PLAYS = 10.0  # of each run that an exact search takes, roughly
+CURVES = 5.25  # plays of an open-loop attack, which fits five curves, by those of one fit
 RESOLUTION = 1.02
 """Ratio of the smallest value known to be over the budget to the largest one known to keep it."""
 
@@ -260,11 +261,12 @@ def tune_amplitude(
     )
 
 
-def search_work(settings: Tuning, scored: int = 0) -> float:
-    """Runs that a search takes, roughly; `scored`: how many are scored, on which it is exact."""
-    if settings.rule == EXACT:
-        return settings.values * settings.sift_runs + EXACT_PLAYS * scored
-    return settings.values * settings.sift_runs + (settings.refined + 2) * settings.runs
+def search_work(settings: Tuning, scored: int, *, curves: bool = False) -> float:
+    """Runs that a search takes, roughly; `scored`: how many are scored, on which it is exact;
+    `curves`: whether it is for curves, of which several are then fitted."""
+    exact = EXACT_PLAYS * scored if settings.rule == EXACT else 0.0
+    fitted = exact or (settings.refined + 2) * settings.runs
+    return (CURVES if curves else 1.0) * (settings.values * settings.sift_runs + fitted)
 
 
 def with_rates(entry: PlayerSpec, rates_mps: list[float]) -> PlayerSpec:

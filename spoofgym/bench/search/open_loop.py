@@ -572,7 +572,7 @@ def fit(
     if not entry.needs_search:
         yield from _tune(panel, [(k, d, entry) for k, d in detectors.items()], settings, tick)
         return
-    share = 0.0 if settings.rule == EXACT else 0.25 * search_work(settings)
+    share = 0.25 * search_work(settings, panel.runs)
     for number, detector in detectors.items():
         found = optima().find(detector, entry, lambda part: tick(share * part))
         curves = optima().curves_to_fit(found)
