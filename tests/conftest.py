@@ -13,7 +13,11 @@ from pathlib import Path
 
 import hypothesis
 import pytest
-from numba.core import event
+
+# Threads of BLAS wait for each other by turning: beside other processes that takes many times the
+# products of these small matrices.  Before NumPy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from numba.core import event  # noqa: E402
 
 # The first example may compile a kernel, which no deadline allows for; the same code draws the
 # same examples everywhere.
