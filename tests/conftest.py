@@ -17,7 +17,7 @@ import pytest
 # Threads of BLAS wait for each other by turning: beside other processes that takes many times the
 # products of these small matrices.  Before NumPy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-from numba.core import event  # noqa: E402
+from numba.core import event
 
 # The first example may compile a kernel, which no deadline allows for; the same code draws the
 # same examples everywhere.
