@@ -72,9 +72,9 @@ fast world of a paper, and the small environments ``spoofgym/LooselyCoupled-v0``
 
 from typing import TYPE_CHECKING, Any
 
-from .core.startup import end_by_interrupts as _end_by_interrupts
+from .core.startup import start_program as _start_program
 
-_end_by_interrupts()  # before what takes a second
+_start_program()  # before what takes a second
 
 from gymnasium.envs.registration import register  # noqa: E402
 

@@ -1,7 +1,11 @@
 """What a start loads: counted in modules, since seconds depend on the machine."""
 
+import os
+import signal
 import subprocess
 import sys
+
+from spoofgym.core.startup import start_program
 
 HEAVY = {"IPython", "matplotlib", "onnxruntime", "pandas", "pyarrow", "stable_baselines3", "torch"}
 COMPILER = {"llvmlite", "numba", "scipy"}
@@ -30,3 +34,19 @@ def test_a_first_step_loads_only_what_it_needs():
     unwanted = HEAVY | {"pettingzoo", "rich", "typer"}
     unwanted |= {f"scipy.{part}" for part in ("interpolate", "optimize", "sparse", "stats")}
     assert found & unwanted == set()
+
+
+def test_the_program_alone_multiplies_matrices_by_one_thread(monkeypatch):
+    before, name = signal.getsignal(signal.SIGINT), "OPENBLAS_NUM_THREADS"
+    for program, given, expected in (
+        ("python", None, None),
+        ("spoofgym", None, "1"),
+        ("", "3", "3"),
+    ):
+        monkeypatch.setattr(sys, "orig_argv", ["python", "-m", program or "spoofgym"])
+        monkeypatch.delenv(name, raising=False)
+        if given:
+            monkeypatch.setenv(name, given)
+        start_program()
+        signal.signal(signal.SIGINT, before)
+        assert os.environ.get(name) == expected

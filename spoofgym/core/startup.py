@@ -18,10 +18,14 @@ def is_program() -> bool:
     return by_module or Path("".join(sys.argv[:1])).stem == PROGRAM
 
 
-def end_by_interrupts() -> None:
+def start_program() -> None:
     """Until `cli.app.main` takes over, let Ctrl-C end the program in one line, and not in whatever
-    import it meets."""
-    if is_program() and signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+    import it meets; let NumPy multiply by one thread: others wait for it by turning, which beside
+    other work costs many times the products of small matrices."""
+    if not is_program():
+        return
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)
 
 
