@@ -20,13 +20,11 @@ def is_program() -> bool:
 
 def start_program() -> None:
     """Until `cli.app.main` takes over, let Ctrl-C end the program in one line, and not in whatever
-    import it meets; let NumPy multiply by one thread: others wait for it by turning, which beside
-    other work costs many times the products of small matrices."""
-    if not is_program():
-        return
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
-        signal.signal(signal.SIGINT, _end)
+    import it meets; NumPy has one thread, as others wait longer than small products take."""
+    if is_program():
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+            signal.signal(signal.SIGINT, _end)
 
 
 def _end(number: int, frame: Any) -> NoReturn:

@@ -33,6 +33,7 @@ import cloudpickle
 import numpy as np
 from joblib import cpu_count
 
+from ...core.children import ONE_THREAD
 from ...core.progress import ProgressBar, ProgressCallback, RemainingWork, no_progress
 from ...core.registry import check_choice, whole_number
 from .store import Cell, Reader, Result, Store
@@ -42,8 +43,6 @@ BACKENDS = {"local": None, "dask": "dask", "ray": "ray-campaign"}
 CONNECT_S = 15.0  # how long an address is waited for
 HAND_OVER_S = 5.0  # how long loky's thread may take over the last task before its workers end
 LOOK_S = 0.5  # how often a worker looks whether the process that started it is there
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Workers share the processors already: libraries have one thread each in them."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -345,9 +344,8 @@ def _loky(work: Send, _: str, jobs: int, threads: int) -> Iterator[_Workers]:
     """Processes of this machine."""
     from joblib.externals.loky.process_executor import BrokenProcessPool, ProcessPoolExecutor
 
-    env = dict.fromkeys(ONE_THREAD, "1")
     pool = ProcessPoolExecutor(
-        jobs, initializer=_initialize_worker, initargs=(os.getpid(),), env=env
+        jobs, initializer=_initialize_worker, initargs=(os.getpid(),), env={**ONE_THREAD}
     )
 
     last: list[Future[None]] = []
