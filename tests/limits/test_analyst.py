@@ -9,6 +9,7 @@ from spoofgym.limits import Analyst, Commands, compute_frontier, floor
 from spoofgym.limits.floor import world_frontier
 from spoofgym.limits.linear import observer
 
+from ..nightly import heavy
 from .toy import best_commands, rates_of, rngs_of, unwatched
 
 LINE = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 2.0}
@@ -149,8 +150,7 @@ def test_best_commands_shift_the_statistic_by_d_and_the_victim_to_the_frontier()
 
 
 @pytest.mark.parametrize(
-    "scenario",
-    ["trolley-tactical", pytest.param("aviation-actual", marks=pytest.mark.nightly)],
+    "scenario", heavy(["trolley-tactical", "aviation-actual"], "aviation-actual")
 )
 def test_a_shift_of_the_analyst_is_that_of_its_filter_on_the_simulator(scenario):
     setup = unwatched(

@@ -28,10 +28,10 @@ short_setup = partial(unwatched, timeline=SHORT)
     [
         ("zhong2025", False, 3.25),
         ("zhong2025", True, 1.65),
+        ("trolley-tactical", False, 23.6),
         pytest.param("trolley", False, 7.23, marks=pytest.mark.nightly),
         pytest.param("trolley", True, 2.93, marks=pytest.mark.nightly),
         pytest.param("zhong2025-tactical", False, 9.2, marks=pytest.mark.nightly),
-        ("trolley-tactical", False, 23.6),
     ],
 )
 def test_frontier_at_a_deflection_of_two(scenario, sensors_known, metres):
