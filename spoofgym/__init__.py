@@ -69,10 +69,10 @@ from importlib import import_module as _import_module
 from typing import TYPE_CHECKING, Any
 
 from .core.startup import check_python as _check_python
-from .core.startup import end_by_interrupts as _end_by_interrupts
+from .core.startup import start_program as _start_program
 
 _check_python()
-_end_by_interrupts()  # before what takes a second
+_start_program()  # before what takes a second
 
 from gymnasium.envs.registration import register  # noqa: E402
 

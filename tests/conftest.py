@@ -15,6 +15,10 @@ from types import SimpleNamespace
 
 import hypothesis
 import pytest
+
+# Threads of BLAS wait for each other by turning: beside other processes that takes many times the
+# products of these small matrices.  Before NumPy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from numba.core import event
 
 from spoofgym.core import progress

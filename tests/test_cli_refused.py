@@ -2,8 +2,6 @@
 
 import errno
 import json
-import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,7 +9,7 @@ import pytest
 
 from spoofgym.core.files import whole_file
 
-from .command_line import QUICK, SHORT, TWO, call, refused
+from .command_line import QUICK, SHORT, TWO, call, read, refused
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -77,37 +75,25 @@ class Prints(Never):
         print("a word of its own")
         return super().judge(epoch)
 """
-PROBES = """
-import sys
-from tests.command_line import SHORT, call, read
-
-RUN = ["run", *SHORT, "--no-picture", "--detector"]
 
 
-def refused(*arguments):  # behind warnings, and a notice where code is compiled
-    result = call(*arguments)
-    assert result.exit_code == 2, result.output
-    return result.stderr.splitlines()[-1]
-
-
-assert "SystemExit(3)" in refused(*RUN, "own_kinds:Exits")
-assert "receiver 0 has diverged" in refused(*RUN, "own_kinds:Diverges")
-assert "unknown detector ''" in refused(*RUN, "")
-assert read(*RUN, "own_kinds:Prints", "--json")["alarm"] is False
-sys.modules["matplotlib"] = sys.modules["matplotlib.figure"] = None
-shown = call("run", *SHORT, "--detector", "never")
-assert shown.exit_code == 0, shown.output
-assert "largest_error_m" in shown.stdout
-assert shown.stderr.startswith("no picture: pictures need matplotlib"), shown.stderr
-"""
-
-
-def test_own_detectors_and_what_is_missing_on_a_machine(tmp_path):
+def test_own_detectors_and_what_is_missing_on_a_machine(tmp_path, monkeypatch):
     (tmp_path / "own_kinds.py").write_text(OWN)
-    paths = os.pathsep.join(map(str, [tmp_path, Path(__file__).parents[1]]))
-    variables = {**os.environ, "PYTHONPATH": paths}
-    done = subprocess.run([sys.executable, "-c", PROBES], env=variables, capture_output=True)
-    assert done.returncode == 0, done.stderr.decode()
+    monkeypatch.syspath_prepend(tmp_path)
+    own = ["run", *SHORT, "--no-picture", "--detector"]
+    for name, said in (
+        ("own_kinds:Exits", "SystemExit(3)"),
+        ("own_kinds:Diverges", "receiver 0 has diverged"),
+        ("", "unknown detector ''"),
+    ):
+        assert said in refused(*own, name)
+    assert read(*own, "own_kinds:Prints", "--json")["alarm"] is False
+    for name in ("matplotlib", "matplotlib.figure"):
+        monkeypatch.setitem(sys.modules, name, None)
+    shown = call("run", *SHORT, "--detector", "never")
+    assert shown.exit_code == 0, shown.output
+    assert "largest_error_m" in shown.stdout
+    assert shown.stderr.startswith("no picture: pictures need matplotlib"), shown.stderr
 
 
 def test_what_is_shipped_needs_no_folder_and_the_rest_names_the_variable(monkeypatch):

@@ -29,6 +29,7 @@ def test_the_parts_of_a_step_one_after_the_other_are_an_epoch(monkeypatch):
         assert not np.array_equal(part.data, was)
 
 
+@pytest.mark.nightly
 def test_the_floor_stays_with_one_group_per_thread():
     rig = perf.Rig(40, 2)
     before = rig.fields[0].data.copy()
@@ -45,6 +46,7 @@ def measured(monkeypatch):
     return lambda *options: CliRunner().invoke(perf.app, ["--quick", *options])
 
 
+@pytest.mark.nightly  # as all that compiles kernels of its own
 def test_the_command_reports_every_part_of_every_batch(measured):
     sizes = ["--receivers", "1", "--receivers", "9", "--threads", "1", "--threads", "2"]
     found = json.loads(measured(*sizes, "--json").stdout)

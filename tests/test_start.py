@@ -1,11 +1,14 @@
 """What a start loads: counted in modules, since seconds depend on the machine."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from spoofgym.core.startup import start_program
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -67,3 +70,14 @@ def test_an_older_python_is_refused_in_one_line(program, words):
     done = subprocess.run(make, capture_output=True, text=True, check=False, cwd=ROOT)
     assert len(done.stderr.splitlines()) == 1
     assert "spoofgym needs Python 3.11 or newer" in done.stderr
+
+
+def test_the_program_alone_multiplies_matrices_by_one_thread(monkeypatch):
+    monkeypatch.setattr(signal, "signal", lambda number, handler: None)
+    monkeypatch.delenv(name := "OPENBLAS_NUM_THREADS", raising=False)
+    for program, expected in (("python", None), ("spoofgym", "1"), ("spoofgym", "3")):
+        monkeypatch.setattr(sys, "orig_argv", ["python", "-m", program])
+        if expected == "3":
+            monkeypatch.setenv(name, expected)
+        start_program()
+        assert os.environ.get(name) == expected

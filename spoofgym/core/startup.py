@@ -26,11 +26,13 @@ def check_python() -> None:
         raise SystemExit(f"spoofgym: error: {text}") if is_program() else ImportError(text)
 
 
-def end_by_interrupts() -> None:
+def start_program() -> None:
     """Until `cli.app.main` takes over, let Ctrl-C end the program in one line, and not in whatever
-    import it meets."""
-    if is_program() and signal.getsignal(signal.SIGINT) == signal.default_int_handler:
-        signal.signal(signal.SIGINT, _end)
+    import it meets; NumPy has one thread, as others wait longer than small products take."""
+    if is_program():
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+            signal.signal(signal.SIGINT, _end)
 
 
 def _end(number: int, frame: Any) -> NoReturn:

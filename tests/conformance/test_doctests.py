@@ -3,12 +3,19 @@
 import doctest
 from pathlib import Path
 
+import pytest
+
+from tests.nightly import heavy
+
 from . import sources
 
+EXAMPLES = {m.__name__: m for m in sources.modules() if ">>> " in Path(m.__file__).read_text()}
+SLOW = ("spoofgym.bench.experiments.audit", "spoofgym.limits.floor", "spoofgym.testing.ages")
+"""Seconds each, of what other tests play."""
 
-def test_examples():
-    for module in sources.modules():
-        if ">>> " in Path(module.__file__).read_text():
-            result = doctest.testmod(module)
-            assert result.attempted > 0, module
-            assert result.failed == 0, module
+
+@pytest.mark.parametrize("name", heavy(EXAMPLES, *SLOW))
+def test_examples(name):
+    result = doctest.testmod(EXAMPLES[name])
+    assert result.attempted > 0
+    assert result.failed == 0

@@ -109,6 +109,7 @@ CODE_IDS = [name for name in IDS if "/Bench" not in name and name != DEFAULT_ID]
 TASKS = [name for name in IDS if name not in CODE_IDS]
 ROUTINE = ("spoofgym/BenchD1-v1", "spoofgym/BenchT3-v1")
 """A task of each side that does not wait for the nightly tests to be played at full size."""
+LATER = ("spoofgym/Offsets-v0", *(name for name in TASKS if name not in ROUTINE))
 every_code = pytest.mark.parametrize("name", CODE_IDS)
 some_codes = pytest.mark.parametrize("name", [MAIN, "spoofgym/DetectorView-v0"])
 every_variant = pytest.mark.parametrize(
@@ -368,7 +369,7 @@ def test_processes_of_async_vector_env_after_threads_in_the_parent():
 
 
 @pytest.mark.usefixtures("default_rate")
-@pytest.mark.parametrize("name", heavy(IDS, *(each for each in TASKS if each not in ROUTINE)))
+@pytest.mark.parametrize("name", heavy(IDS, *LATER))
 def test_it_plays_as_users_have_it(name):
     """With the detector that it has by default, at the rate that is shipped."""
     env = gym.make(name)

@@ -8,12 +8,11 @@ import pytest
 from spoofgym.truth.sensors import IMU_GRADES
 from tools.environments_page import IDS, build_detector_page, build_spoofer_page
 
+from ..nightly import heavy
 from .pages import text_of
 
-SLOW = [pytest.param(x, marks=pytest.mark.nightly) for x in ("TightlyCoupled", "Offsets")]
 
-
-@pytest.mark.parametrize("name", [*SLOW, *sorted(IDS.keys() - {"TightlyCoupled", "Offsets"})])
+@pytest.mark.parametrize("name", heavy(sorted(IDS), "TightlyCoupled", "Offsets"))
 def test_a_page_is_that_of_its_environment(name):
     page = text_of(f"environments/{name}.md")
     assert page == build_spoofer_page(name)

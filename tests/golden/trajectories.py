@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,11 @@ RECEIVERS, STEPS, SEED = 2, 40, 20261121
 DEFAULT = "spoofgym/TightlyCoupled-v0"
 SAME_AS_DEFAULT = "spoofgym/BenchS1-v2"
 AGED = (SAME_AS_DEFAULT, "spoofgym/BenchS2-v2", "spoofgym/BenchS3-v2", "spoofgym/Offsets-v0")
-FEW = dict.fromkeys(["spoofgym/Offsets-v0", "spoofgym/SpooferView-v0", SAME_AS_DEFAULT], 20)
-"""Steps of ids that take long, past the first episode; of the last one 40 are stored."""
+FEW = {
+    **dict.fromkeys(["BenchS1-v2", "Offsets-v0", "SpooferView-v0"], 10),
+    **dict.fromkeys(["BenchD1-v2", "BenchD4-v1", "DetectorView-v0", "duel_v0-parallel"], 16),
+}
+"""Steps of what takes long, past several episodes; all that are stored are played nightly."""
 Record = dict[str, np.ndarray]
 
 
@@ -102,12 +106,11 @@ def play_aec(steps: int = STEPS) -> Record:
     return {f"{name}_{key}": array for name, part in parts.items() for key, array in part.items()}
 
 
-def cases() -> dict[str, Callable[[], Record]]:
-    """Everything that is stored, by the names of the files."""
+def cases() -> dict[str, Callable[..., Record]]:
+    """Everything that is stored, by the names of the files; each takes a number of steps."""
     ids = sorted(name for name in gym.registry if name.startswith("spoofgym/") and name != DEFAULT)
-    table: dict[str, Callable[[], Record]] = {
-        name.removeprefix("spoofgym/"): (lambda name=name: play(name, steps=FEW.get(name, STEPS)))
-        for name in ids
+    table: dict[str, Callable[..., Record]] = {
+        name.removeprefix("spoofgym/"): partial(play, name) for name in ids
     }
     return {**table, "duel_v0-parallel": play_parallel, "duel_v0-aec": play_aec}
 

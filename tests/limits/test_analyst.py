@@ -9,6 +9,7 @@ from spoofgym.limits import Analyst, Commands, compute_frontier, floor
 from spoofgym.limits.floor import world_frontier
 from spoofgym.limits.linear import observer
 
+from ..nightly import heavy
 from .toy import best_commands, rates_of, rngs_of, unwatched
 
 LINE = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 2.0}
@@ -35,7 +36,11 @@ def every_channel(run):
 
 @pytest.mark.parametrize(
     ("scenario", "hold_s", "sensors_known"),
-    [("zhong2025", 0.0, True), ("trolley", 2.0, False), (WANDERING, 0.0, True)],
+    [
+        ("trolley", 2.0, False),
+        (WANDERING, 0.0, True),
+        pytest.param("zhong2025", 0.0, True, marks=pytest.mark.nightly),
+    ],
 )
 def test_where_every_channel_is_free_the_frontier_is_the_spread_of_a_coasting_twin(
     scenario, hold_s, sensors_known, monkeypatch
@@ -144,7 +149,9 @@ def test_best_commands_shift_the_statistic_by_d_and_the_victim_to_the_frontier()
     assert moved.std() < 0.01 * size
 
 
-@pytest.mark.parametrize("scenario", ["trolley-tactical", "aviation-actual"])
+@pytest.mark.parametrize(
+    "scenario", heavy(["trolley-tactical", "aviation-actual"], "aviation-actual")
+)
 def test_a_shift_of_the_analyst_is_that_of_its_filter_on_the_simulator(scenario):
     setup = unwatched(
         scenario={"name": scenario, "events": None},

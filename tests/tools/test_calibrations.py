@@ -15,9 +15,7 @@ def test_the_classics_of_tasks_for_detectors_are_calibrated_in_their_world(world
     # the worlds of T5 and T6 differ from that of T3 by their attack alone
     same = {"T3": ("T3", "T5", "T6")}.get(world, (world,))
     tasks = [t for t in DETECTOR_TASKS.values() if t.task.key in same]
-    made = [
-        describe_identity(each) for each in list_detectors(world, None)
-    ]  # which looks at no setup here
+    made = [*map(describe_identity, list_detectors(world, None))]  # which looks at no setup here
     for task in tasks:
         wanted = inner_detectors(list_task_detectors(task.task))
         assert len(wanted) > 8

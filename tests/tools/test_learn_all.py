@@ -71,6 +71,7 @@ raise SystemExit(0 if other.exists() else 4)
 """Ends well only where another one runs at the same time; leaves the processors that it has."""
 
 
+@pytest.mark.nightly  # processes that import all, one after the other on a busy machine
 def test_workers_run_at_once_share_the_processors_and_what_is_needed_ends_before(tmp_path):
     one, two, seen = tmp_path / "one", tmp_path / "two", tmp_path / "seen"
     last = f"import os; open({str(seen)!r}, 'w').write(str(os.path.exists({str(two)!r})))"

@@ -96,3 +96,20 @@ def test_five_arguments_beat_the_best_constant_ramp(kept, part, first):
     for score in (row["untrained"] for rows in trainings for row in rows):
         assert (score["spoofer"], score["setting"]) == ("untrained", "amplitude")
         assert 0.0 < score["value"] < 0.9 * LOUDEST
+
+
+def test_the_table_of_corrections_is_that_of_the_kept_results_to_which_rows_are_added():
+    for name in ("stable_baselines3", "tyro"):
+        pytest.importorskip(name)
+    from tools.residual_page import DATA_FILE, PAGE, take
+    from train.residual_ppo import build_table
+
+    kept = json.loads(DATA_FILE.read_text())
+    assert part_between(PAGE.read_text(), *marks("residual")) == fit_tables(
+        f"\n{build_table(kept)}\n"
+    )
+    (detector, found), *_ = kept["detectors"].items()
+    some = {**kept, "detectors": {detector: {**found, "rows": {}}}}
+    assert take(some, json.loads(DATA_FILE.read_text())) == kept
+    with pytest.raises(ValueError, match=r"residual\.json has results of other steps"):
+        take({**kept, "steps": 1}, kept)

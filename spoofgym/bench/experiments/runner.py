@@ -33,6 +33,7 @@ import cloudpickle
 import numpy as np
 from joblib import cpu_count
 
+from ...core.children import ONE_THREAD
 from ...core.compile import share_notice
 from ...core.progress import ProgressBar, ProgressCallback, RemainingWork, no_progress
 from ...core.registry import check_choice, whole_number
@@ -43,8 +44,6 @@ BACKENDS = {"local": None, "dask": "dask", "ray": "ray-campaign"}
 CONNECT_S = 15.0  # how long an address is waited for
 HAND_OVER_S = 5.0  # how long loky's thread may take over the last task before its workers end
 LOOK_S = 0.5  # how often a worker looks whether the process that started it is there
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Workers share the processors already: libraries have one thread each in them."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -350,7 +349,7 @@ def _loky(work: Send, _: str, jobs: int, threads: int) -> Iterator[_Workers]:
     noticed = get_context().Lock()  # held by the process that has said that it compiles
     share_notice(partial(noticed.acquire, block=False))
     given = os.getpid(), noticed
-    env = dict.fromkeys(ONE_THREAD, "1")
+    env = {**ONE_THREAD}
     pool = ProcessPoolExecutor(jobs, initializer=_initialize_worker, initargs=given, env=env)
     last: list[Future[None]] = []
 
