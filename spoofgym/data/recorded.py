@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.reading import name_file
 from ..truth.scenario import Scenario
 from .cleaning import clean_track
 from .ephemerides import (
@@ -67,13 +68,12 @@ def real_scenario(
     the ephemerides, at the same time of day; `altitude_unit`, `aircraft`: see `read_track`;
     `interpolated`: see `clean_track`.
     """
-    fixes, cleaning = clean_track(
-        read_track(track, altitude_unit=altitude_unit, aircraft=aircraft),
-        from_s=from_s,
-        duration_s=duration_s,
-        interpolated=interpolated,
-    )
-    flight, fit = fit_track(fixes)
+    raw = read_track(track, altitude_unit=altitude_unit, aircraft=aircraft)
+    with name_file(track):
+        fixes, cleaning = clean_track(
+            raw, from_s=from_s, duration_s=duration_s, interpolated=interpolated
+        )
+        flight, fit = fit_track(fixes)
     files = [ephemeris] if isinstance(ephemeris, (str, Path)) else [*ephemeris]
     accepted, screening = screen(join_ephemerides([read_navigation(file) for file in files]))
     own = fixes.start_utc.astimezone(UTC)
