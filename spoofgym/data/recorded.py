@@ -76,13 +76,14 @@ def real_scenario(
         flight, fit = fit_track(fixes)
     files = [ephemeris] if isinstance(ephemeris, (str, Path)) else [*ephemeris]
     accepted, screening = screen(join_ephemerides([read_navigation(file) for file in files]))
+    name = ", ".join(Path(file).name for file in files)
     own = fixes.start_utc.astimezone(UTC)
     start = datetime.combine(day or ephemeris_day(accepted, own), own.timetz())
     seconds = gps_seconds(start)
-    constellation = BroadcastConstellation(accepted, seconds)
+    with name_file(name):
+        constellation = BroadcastConstellation(accepted, seconds)
     scenario = Scenario(name=fixes.name, flight=flight, constellation=constellation, **settings)
     seen = scenario.world().visible.sum(axis=1)
-    name = ", ".join(Path(file).name for file in files)
     return RealInput(
         scenario,
         (
