@@ -163,7 +163,7 @@ class WorldOptions:
         None, help="Aircraft of a track that holds several, as its file writes it."
     )
     altitude_unit: str | None = Option(
-        None, help="Unit of the track's altitude, ft or m. Default: by the column's name."
+        None, help="Unit of the track's altitude: ft, m, fl. Default: by the column's name."
     )
     interpolated: str = Option(
         "drop",

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..earth.wgs84 import dcm_e_from_n, geodetic_to_ecef
 from .track_fit import POSITION_SD
-from .tracks import FACTORS, FOOT
+from .tracks import FACTORS, FOOT, LEVEL
 
 Floats = NDArray[np.float64]
 LARGEST_GAP_S = 30.0  # longest time between distinct fixes of a stretch [s]
@@ -29,6 +29,7 @@ DRIFT = math.radians(2.0)  # lasting difference of course and track from which i
 BLOCK_S = 60.0  # time over which a difference lasts [s]
 MOST = 0.8  # share of the fixes that a mistake must explain
 HIGHEST = 25_000.0  # altitude [m]; airliners in feet taken for metres are above it
+LOWEST, LOW_SPEED = 600.0 * FOOT, 140.0  # flight level 600 taken for feet, and a speed there [m/s]
 FASTEST = 195.0  # equivalent airspeed [m/s], above those of airliners (365 kt), and some wind
 MISTAKEN_SPEEDS = {
     f"in {true}, and taken as {taken}": FACTORS[true_key] / FACTORS[taken_key]
@@ -165,6 +166,7 @@ def find_mistaken_altitude(
     one they are taken for, in words."""
     feet = "altitudes seem to be in feet, and taken as metres (--altitude-unit ft)"
     metres = "altitudes seem to be in metres, and taken as feet (--altitude-unit m)"
+    levels = "altitudes seem to be flight levels, and taken as feet (--altitude-unit fl)"
     later = np.minimum(np.searchsorted(time, time + 20.0), time.size - 1)
     span = np.where(later > np.arange(time.size), time[later] - time, np.nan)
     mean = 0.5 * (vertical_rate + vertical_rate[later])
@@ -172,11 +174,13 @@ def find_mistaken_altitude(
     if climbs.sum() >= FEWEST:
         made = ((altitude[later] - altitude) / span)[climbs]
         ratio = float(np.median(made / mean[climbs]))
-        for words, factor in ((feet, 1.0 / FOOT), (metres, FOOT)):
+        for words, factor in ((feet, 1.0 / FOOT), (metres, FOOT), (levels, FOOT / LEVEL)):
             if abs(ratio / factor - 1.0) < 0.2:
                 return f"{words}: they change {ratio:.2f} times as fast as the climb rate says"
     if (high := float(np.median(altitude))) > HIGHEST:
         return f"{feet}: half of them are above {high:.0f} m"
+    if high < LOWEST and (quick := float(np.nanmedian(speed))) > LOW_SPEED:
+        return f"{levels}: at {high:.0f} m, {quick:.0f} m/s are too fast"
     thinner = np.clip(1.0 - 2.25577e-5 * altitude, 0.75, 1.0) ** (0.5 * 4.2559)  # ICAO, to 11 km
     if (fast := float(np.nanmedian(speed * thinner))) > FASTEST:
         return f"{metres}: at {high:.0f} m, {fast:.0f} m/s of equivalent airspeed are too fast"

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.reading import name_file
 from ..truth.scenario import Scenario
 from .cleaning import clean_track
 from .ephemerides import (
@@ -67,22 +68,22 @@ def real_scenario(
     the ephemerides, at the same time of day; `altitude_unit`, `aircraft`: see `read_track`;
     `interpolated`: see `clean_track`.
     """
-    fixes, cleaning = clean_track(
-        read_track(track, altitude_unit=altitude_unit, aircraft=aircraft),
-        from_s=from_s,
-        duration_s=duration_s,
-        interpolated=interpolated,
-    )
-    flight, fit = fit_track(fixes)
+    raw = read_track(track, altitude_unit=altitude_unit, aircraft=aircraft)
+    with name_file(track):
+        fixes, cleaning = clean_track(
+            raw, from_s=from_s, duration_s=duration_s, interpolated=interpolated
+        )
+        flight, fit = fit_track(fixes)
     files = [ephemeris] if isinstance(ephemeris, (str, Path)) else [*ephemeris]
     accepted, screening = screen(join_ephemerides([read_navigation(file) for file in files]))
+    name = ", ".join(Path(file).name for file in files)
     own = fixes.start_utc.astimezone(UTC)
     start = datetime.combine(day or ephemeris_day(accepted, own), own.timetz())
     seconds = gps_seconds(start)
-    constellation = BroadcastConstellation(accepted, seconds)
+    with name_file(name):
+        constellation = BroadcastConstellation(accepted, seconds)
     scenario = Scenario(name=fixes.name, flight=flight, constellation=constellation, **settings)
     seen = scenario.world().visible.sum(axis=1)
-    name = ", ".join(Path(file).name for file in files)
     return RealInput(
         scenario,
         (

@@ -14,7 +14,9 @@ from __future__ import annotations
 import logging
 import math
 import os
+import re
 import warnings
+from codecs import BOM_UTF8 as BOM
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
@@ -31,10 +33,12 @@ from .ephemerides import BEIDOU_LAG, ORBIT_FIELDS, SECONDS_PER_WEEK, Ephemerides
 _LOGGER = logging.getLogger(__name__)
 
 COMPRESS_MAGIC = b"\x1f\x9d"
+HEADED = re.compile(r".{60}[A-Z /#]*[A-Z]{3}")  # a line of a header, by its label
 FIELD_WIDTH = 19
 LINES_PER_RECORD = 8
 LAST_SATELLITE = 63  # largest number of a GPS satellite, IS-GPS-200 table 3-I
 LAST_YEAR = 2099
+LARGEST_LEAD = 6 * 3600.0  # of the time of an ephemeris on that of its clock [s]
 FIELDS = {
     **dict(clock_bias=(0, 1), clock_drift=(0, 2), clock_drift_rate=(0, 3)),
     **dict(issue=(1, 0), crs=(1, 1), mean_motion_correction=(1, 2), mean_anomaly=(1, 3)),
@@ -176,7 +180,7 @@ def read_text(path: Path) -> list[str]:
     """Lines of a RINEX file."""
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")
-    content = read_lines(path)
+    content = read_lines(path).removeprefix(BOM).rstrip(b"\0\x1a\r\n")
     if content.startswith(COMPRESS_MAGIC):
         raise FileError(f"{path} is compressed by `compress`; unpack it first (`gzip -d` does)")
     return content.decode("ascii", errors="replace").splitlines()
@@ -211,13 +215,14 @@ def _blank_other_frames(lines: list[str]) -> list[str]:
 
 
 def _blocks(lines: list[str], path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line number and lines of each record: the first columns of its later lines are blank."""
+    """Line number and lines of each record: the first columns of its later lines are blank, and
+    what looks like a line of a header is a comment or from another file put behind."""
     end = next((k for k, line in enumerate(lines) if line[60:].strip() == "END OF HEADER"), None)
     if end is None:
         raise FileError(f"{path} is cut short: its header has no end")
     number, block = 0, list[str]()
     for k, line in enumerate(lines[end + 1 :], start=end + 2):
-        if not line.strip():
+        if not line.strip() or HEADED.match(line):
             continue
         if line[:3].strip():
             if block:
@@ -250,6 +255,11 @@ def _parse(block: list[str], layout: _Layout, system: str) -> tuple[str, dict[st
     time_of_clock = gps_seconds(parse_date([block[0][part] for part in layout.date]))
     half = 0.5 * SECONDS_PER_WEEK
     lead = (second_of_week - time_of_clock + half) % SECONDS_PER_WEEK - half
+    if abs(lead) > LARGEST_LEAD:
+        raise ValueError(
+            f"the time of the ephemeris must be within {LARGEST_LEAD / 3600.0:g} h of the epoch, "
+            f"got {lead / 3600.0:.4g} h"
+        )
     record["time_of_clock"] = time_of_clock + BEIDOU_LAG * (system == "C")
     record["time_of_ephemeris"] = record["time_of_clock"] + lead
     return f"{system}{number:02d}", record

@@ -7,7 +7,9 @@ import csv
 import math
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from io import BytesIO, StringIO
 from itertools import islice
@@ -26,7 +28,8 @@ if TYPE_CHECKING:
 
 FOOT = 0.3048  # international foot [m]
 KNOT = 1852.0 / 3600.0  # knot [m/s]
-UNITS = {"ft": FOOT, "m": 1.0}  # of the altitude, as a user names them [m]
+LEVEL = 100.0 * FOOT  # of a flight level [m]
+UNITS = {"ft": FOOT, "m": 1.0, "fl": LEVEL}  # of the altitude, as a user names them [m]
 FACTORS = {  # of the units that may end a column's name, in m, m/s and deg
     **dict.fromkeys(("ft", "feet"), FOOT),
     **dict.fromkeys(("m", "meter", "meters", "metres", "mps", "m_s", "ms", "deg", "degrees"), 1.0),
@@ -39,10 +42,21 @@ FACTORS = {  # of the units that may end a column's name, in m, m/s and deg
 TIME = (
     *("timestamp", "time", "datetime", "utc", "timestamp_utc", "time_utc", "now", "ts", "snapshot"),
     *("snapshottime", "date_time", "unixtime", "epoch", "last_contact", "lastcontact"),
+    *("snapshot_id", "postime"),
 )
 REQUIRED = ("latitude", "longitude", "altitude")
 POSITION_TIME = ("last_position", "lastposupdate", "position_time", "time_position")
-AIRCRAFT = ("icao24", "hex", "icao", "aircraft", "fr24_id", "callsign", "flight")
+AIRCRAFT = (
+    "icao24",
+    "hex",
+    "icao",
+    "aircraft",
+    "fr24_id",
+    "fa_flight_id",
+    "flight_id",
+    "callsign",
+    "flight",
+)
 QUANTITIES: dict[str, dict[str, float]] = {
     "latitude": dict.fromkeys(("latitude", "lat"), 1.0),
     "longitude": dict.fromkeys(("longitude", "lon", "lng", "long"), 1.0),
@@ -51,16 +65,31 @@ QUANTITIES: dict[str, dict[str, float]] = {
         **dict.fromkeys(("height", "baro_altitude", "baroaltitude"), 1.0),
         **dict.fromkeys(("geo_altitude", "geoaltitude"), 1.0),
         **dict.fromkeys(("alt_geom", "alt_gnss"), FOOT),
+        "flight_level": LEVEL,
     },
     "groundspeed": {
         **dict.fromkeys(("groundspeed", "ground_speed", "gs", "gspeed", "speed", "spd"), KNOT),
         "velocity": 1.0,
     },
     "track": dict.fromkeys(
-        ("track", "true_track", "track_angle", "course", "direction", "trk", "heading", "hd"), 1.0
+        (
+            "track",
+            "true_track",
+            "track_angle",
+            "course",
+            "direction",
+            "trk",
+            "trak",
+            "heading",
+            "hd",
+        ),
+        1.0,
     ),
     "vertical_rate": {
-        **dict.fromkeys(("vertical_rate", "baro_rate", "vspeed", "verticalspeed"), FOOT / 60.0),
+        **dict.fromkeys(
+            ("vertical_rate", "baro_rate", "vspeed", "verticalspeed", "vert_speed", "vsi"),
+            FOOT / 60.0,
+        ),
         "vertrate": 1.0,
     },
 }
@@ -75,12 +104,27 @@ NAMELESS = {  # names of the values of a row, by the key of rows without them
     "path": ("time", "latitude", "longitude", "baro_altitude", "true_track", "on_ground"),
     "trace": ("after_s", "lat", "lon", "alt_baro", "gs", "track", "flags", "baro_rate"),
 }
-COLUMNS = {*TIME, *POSITION_TIME, *AIRCRAFT, "position"}.union(*QUANTITIES.values())
+BASE_STATION = (  # values of a line of dump1090 on port 30003, which has no head
+    *("message", "transmission", "session", "aircraft_id", "hex", "flight_number", "date", "time"),
+    *("logged_date", "logged_time", "callsign", "altitude", "groundspeed", "track", "latitude"),
+    *("longitude", "vertical_rate", "squawk", "alert", "emergency", "spi", "on_ground"),
+)
+COLUMNS = {"date", *TIME, *POSITION_TIME, *AIRCRAFT, "position"}.union(*QUANTITIES.values())
 """All names that a column of a track may have, but for units."""
 NESTS = ("result", "response", "data", "flight")  # keys of what holds rows further down
-ROWS = (*NAMELESS, "aircraft", "ac", "tracks", "track", "trail", *NESTS)  # keys of rows
+ROWS = (
+    *NAMELESS,
+    "aircraft",
+    "ac",
+    "aclist",
+    "tracks",
+    "track",
+    "trail",
+    "positions",
+    *NESTS,
+)  # keys of rows
 MEANT = ("feet", "kts", "fpm")  # of a value that is given in several units
-DAYS = (20_000.0, 80_000.0)  # of a spreadsheet that counts from 1900: the years 1954 to 2119
+DAYS = (20_000.0, 800_000.0)  # of spreadsheets, from 1900 on, and of MATLAB, from the year 0 on
 RANGES = {  # valid values by quantity; beyond what ADS-B can say where that is bounded
     "latitude": (-90.0, 90.0, "deg"),
     "longitude": (-180.0, 360.0, "deg"),
@@ -182,7 +226,7 @@ def _read_parquet(content: bytes) -> pandas.DataFrame:
         read_dictionary=texts,
         use_threads=False,
     )
-    frame = table.to_pandas(use_threads=False)
+    frame = table.to_pandas(use_threads=False, ignore_metadata=True)  # an index is a column, too
     return frame.astype({name: object for name in texts if frame[name].dtype == "category"})
 
 
@@ -196,7 +240,10 @@ def _is_of_track(name: str) -> bool:
 
 def _decode(content: bytes) -> str:
     wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
-    return content.decode("utf-16" if wide else "utf-8-sig")
+    with suppress(UnicodeDecodeError):
+        return content.decode("utf-16" if wide else "utf-8-sig")
+    require(not re.search(rb"[\0-\x08\x0e-\x1f]", content), "it is no text")
+    return content.decode("latin-1")  # of spreadsheets
 
 
 def _read_csv(content: bytes) -> pandas.DataFrame:
@@ -204,7 +251,9 @@ def _read_csv(content: bytes) -> pandas.DataFrame:
     commas for points. Names of aircraft stay text: 4e5432 is no number."""
     import pandas
 
-    text = _decode(content)
+    text = _decode(content).replace("\r\n", "\n").replace("\r", "\n")
+    if text.startswith("MSG,"):
+        text = f"{','.join(BASE_STATION)}\n{text}"
     head = next((line for line in text.splitlines() if line.strip()), "")
     if not head:
         return pandas.DataFrame()
@@ -213,9 +262,12 @@ def _read_csv(content: bytes) -> pandas.DataFrame:
     check_table(text.count("\n") + 1, max(map(len, islice(filter(None, rows), 2)), default=0))
     names = pandas.read_csv(StringIO(text), sep=apart, nrows=0).columns
     kinds = {name: str for name in names if _plain_name(name) in AIRCRAFT}
+    commas = apart != "," and re.search(rf"(^|[{apart}\n])\s*-?\d+,\d+\s*([{apart}\n]|$)", text)
+    points = commas and re.search(rf"(^|[{apart}\n])\s*-?\d*\.\d{{1,2}}\s*([{apart}\n]|$)", text)
     return pandas.read_csv(
-        StringIO(text), sep=apart, dtype=kinds, decimal="." if apart == "," else ",",
-        skipinitialspace=True, low_memory=False,
+        StringIO(text), sep=apart, dtype=kinds, decimal="," if commas else ".",
+        thousands="." if commas and not points else None,
+        skipinitialspace=True, low_memory=False, na_values=["-", "--"],
     )  # fmt: skip
 
 
@@ -273,6 +325,13 @@ def _rows(found: Any, above: dict[str, Any]) -> Iterator[dict[str, Any]]:
                 dict(zip(NAMELESS[key], row, strict=False)) if isinstance(row, list) else row
                 for row in rows
             ]
+        if key == "positions" and isinstance(rows, list):  # of FlightAware, in hundreds of feet
+            rows = [
+                {"flight_level" if x == "altitude" else x: y for x, y in row.items()}
+                if isinstance(row, dict)
+                else row
+                for row in rows
+            ]
         yield from _rows(rows, own)
 
 
@@ -315,7 +374,7 @@ def track_from_frame(
         check_word("altitude_unit", altitude_unit, UNITS)
     frame = frame.rename(columns=_plain_name)
     require(not frame.empty, f"a track must have rows, got none in {name!r}")
-    frame = _one_aircraft(_split_position(frame), aircraft)
+    frame = _join_date(_one_aircraft(_split_position(frame), aircraft))
     used = {quantity: _find_column(frame, names) for quantity, names in QUANTITIES.items()}
     _check_columns(frame, used)
     time = _seconds(frame, TIME)
@@ -332,6 +391,7 @@ def track_from_frame(
     order = np.argsort(time, kind="stable")
     latitude, longitude, *others = (columns[quantity][order] for quantity in QUANTITIES)
     altitude, groundspeed, track, vertical_rate = others
+    _check_degrees(time[order], latitude, longitude, groundspeed)
     return RawTrack(
         name,
         time[order],
@@ -355,6 +415,17 @@ def _split_position(frame: pandas.DataFrame) -> pandas.DataFrame:
     return frame.assign(latitude=parts[0], longitude=parts[1])
 
 
+def _join_date(frame: pandas.DataFrame) -> pandas.DataFrame:
+    """A column of dates and one of times of the day as one."""
+    if "date" not in frame or "time" not in frame or frame.empty:
+        return frame
+    time = frame["time"].astype(str)
+    if not time.str.match(r"^\s*\d{1,2}:\d\d").all():
+        return frame
+    date = frame["date"].astype(str).str.strip().str.replace("/", "-")
+    return frame.assign(time=date + "T" + time.str.strip().str.zfill(8))
+
+
 def _find_column(frame: pandas.DataFrame, names: Mapping[str, float]) -> tuple[str, float] | None:
     """The first column of a quantity that isn't empty, and what its unit is in SI units."""
     found = [
@@ -376,15 +447,15 @@ def _one_aircraft(frame: pandas.DataFrame, aircraft: str | None) -> pandas.DataF
     place = next((name for name in ("latitude", "lat") if name in frame), None)
     if place is not None and frame.columns.is_unique:
         names = names.where(frame[place].notna(), "")  # others are heard, and seen nowhere
-    found = [name for name in names.unique() if name]
-    wanted = next((x for x in found if x.lower() == str(aircraft).strip().lower()), None)
-    if len(found) > 1 if aircraft is None else wanted is None:
+    found = [*{name.lower(): name for name in names.unique()[::-1] if name}.values()][::-1]
+    same = names.str.lower() == str(aircraft).strip().lower()
+    if len(found) > 1 if aircraft is None else not same.any():
         offered = f"{', '.join(found[:10])}{', ...' if len(found) > 10 else ''}"
         got = "none" if aircraft is None else repr(aircraft)
         raise ValueError(
             f"`aircraft` must be one of {offered}, got {got}; the command takes it by --aircraft"
         )
-    return frame if aircraft is None else frame[names == wanted]
+    return frame if aircraft is None else frame[same]
 
 
 def _check_columns(frame: pandas.DataFrame, used: Mapping[str, tuple[str, float] | None]) -> None:
@@ -415,8 +486,19 @@ def _as_numbers(frame: pandas.DataFrame, name: str) -> NDArray[np.float64]:
             dtype=np.float64, na_value=math.nan
         )
     except (ValueError, TypeError, OverflowError) as error:
-        raise ValueError(f"`{name}` must hold numbers: {error}") from error
+        raise ValueError(
+            f"`{name}` must hold numbers{_say_first(column, pandas.to_numeric)}"
+        ) from error
     return values
+
+
+def _say_first(column: Any, *parsers: Any) -> str:
+    """The first value that none of them takes, and its row."""
+    bad = column.notna().to_numpy()
+    for parse in parsers:
+        bad = bad & parse(column, errors="coerce").isna().to_numpy()
+    k = int(np.argmax(bad))
+    return f", got {str(column.iloc[k])[:40]!r} in row {k + 1}" if bad.any() else ""
 
 
 def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.float64]:
@@ -438,7 +520,7 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
             if DAYS[0] < low <= high < min(DAYS[1], low + 2.0) and len(values) > 2:
                 raise ValueError(
                     f"`{name}` must hold seconds since 1970 or ISO 8601 times, got {low:.6f}, "
-                    "which looks like days of a spreadsheet"
+                    "which looks like days of a spreadsheet or of MATLAB"
                 )
             size = float(np.nanmax(np.abs(values), initial=0.0))
             per_second = 1e9 if size > 1e17 else 1e6 if size > 1e14 else 1e3 if size > 1e11 else 1.0
@@ -446,9 +528,9 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
     try:
         moments = pandas.to_datetime(column, utc=True, format="ISO8601")
     except (ValueError, TypeError, OverflowError) as error:
-        raise ValueError(
-            f"`{name}` must hold numbers or ISO 8601 times: {first_line(error)}"
-        ) from error
+        parsers = pandas.to_numeric, partial(pandas.to_datetime, utc=True, format="ISO8601")
+        first = _say_first(column, *parsers)
+        raise ValueError(f"`{name}` must hold numbers or ISO 8601 times{first}") from error
     epoch = pandas.Timestamp(0, tz="UTC")
     return np.asarray((moments - epoch).dt.total_seconds().to_numpy(np.float64))
 
@@ -458,11 +540,27 @@ def _check_times(time: NDArray[np.float64]) -> None:
         raise ValueError(f"every row must have a time, got none in row {missing[0] + 1}")
 
 
+def _check_degrees(time: Any, latitude: Any, longitude: Any, groundspeed: Any) -> None:
+    """Refuse places in radians: in degrees they hardly move."""
+    known = np.isfinite(latitude + longitude)
+    if known.sum() < 2 or np.hypot(latitude, longitude)[known].max() > math.pi:
+        return
+    moved = np.hypot(np.diff(latitude[known]), np.diff(longitude[known])).sum() * 111e3  # m by deg
+    fast = float(np.nanmedian(np.append(groundspeed, 0.0)))
+    if fast > 30.0 and moved < 0.05 * fast * np.ptp(time[known]):
+        raise ValueError(
+            f"places hardly move by degrees, {moved:.0f} m in {np.ptp(time[known]):.0f} s at "
+            f"{fast:.0f} m/s: are latitude and longitude in radians?"
+        )
+
+
 def _check_range(name: str, value: NDArray[np.float64], low: float, high: float, unit: str) -> None:
     outside = np.flatnonzero((value < low) | (value > high))
     if outside.size:
+        largest = float(np.nanmax(np.abs(value)))
         raise ValueError(
             f"`{name}` must lie between {low:.10g} and {high:.10g} {unit}, got "
             f"{value[outside[0]]:.10g} {unit} in row {outside[0] + 1}"
-            + ("; are latitude and longitude swapped?" if name == "latitude" else "")
+            + "; are latitude and longitude swapped?" * (name == "latitude" and largest <= 360.0)
+            + "; are they in 1e-7 deg?" * (name in {"latitude", "longitude"} and largest > 1e6)
         )

@@ -53,8 +53,8 @@ def list_solved_noise(
     width = found.shape[-1] if found.ndim else 0
     good = found.shape in {(width,), (count, width)} and width in ((6,) if velocities else (3, 6))
     require(
-        good and bool((found > 0.0).all()),
-        f"`noise_variance` must be positive and of shape (6,) or {(count, 6)}"
+        good,
+        f"`noise_variance` must be of shape (6,) or {(count, 6)}"
         f"{'' if velocities else ' or three wide'}, got shape {found.shape}",
     )
     return np.broadcast_to(

@@ -8,7 +8,8 @@ common mistake at a time undone: the likeliest cause is the one whose innovation
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -25,11 +26,14 @@ from ..earth.wgs84 import (
     dcm_e_from_n,
     ecef_to_geodetic,
 )
-from .recording import SOLVED, AnyRecording, PositionRecording, Recording
+from .recording import IN_SAMPLES, MAY_BE_NAN, SOLVED, AnyRecording, PositionRecording, Recording
+from .snapshot import Fix, least_squares_fix
 from .tight import NavState
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Fields = dict[str, Any]
+Mistake = tuple[str, Fields, Fields]
 RECEIVER_RADII = 6.3e6, 5e7  # distances from the Earth's centre [m]
 SATELLITE_RADII = 6.5e6, 1e8
 OPAQUE_RADIUS = 6.33e6  # a signal passes no nearer to the Earth's centre, refraction included [m]
@@ -37,14 +41,28 @@ FASTEST = 12_000.0  # of any receiver or satellite [m/s]
 LARGEST_FORCE, LARGEST_MEDIAN = 1e6, 1e3  # that any sensor survives, or feels for long [m/s^2]
 FREE_FALL_RADIUS = 6.478e6  # from the Earth's centre, below which nothing falls freely at first [m]
 RANGE_SPREAD, SPREAD_RATE = 1e6, 8_000.0  # of what geometry leaves of ranges [m], its growth [m/s]
+MEASURED_RANGES = 1e7, 1e8  # of satellites, the receiver's clock included [m]
+SLOWEST_RANGE = 50.0  # of which a rate tells its unit and its sign [m/s]
+ALIKE = 20.0  # of a satellite's velocity and of how it moves [m/s]
 SMALLEST_SD = 1e-4  # of a range [m] or a range rate [m/s], below those of carrier phases
 CLOCK_STEP = 1e-3 * SPEED_OF_LIGHT  # that receivers put their clocks right by [m]
+UNITS = {
+    "km": 1e3,
+    "s": SPEED_OF_LIGHT,
+    "ms": CLOCK_STEP,
+    "feet": 0.3048,
+    "cycles of L1": SPEED_OF_LIGHT / 1575.42e6,
+}
+"""Of ranges [m]."""
 BEYOND, SUSTAINED, AT_ONCE = 100.0, 5, 1e4
 """Mean square of whitened innovations that is a fault over so many epochs, and over one."""
 MISFIT, WINDOW = 9.0, 20
 """Mean of it over a window from which on standard deviations do not fit."""
 LEAP_SECONDS = 18.0  # between GPS time and UTC since 2017
+DAILY_S = 235.9  # by which a GPS satellite comes by earlier from day to day
+ROTATION = 5e-3  # by which the square of an attitude may be off the identity
 TRIED_EPOCHS = 600
+SHIFT_S, LONGEST_SHIFT_S = 10.0, 2e3  # over which an orbit is a parabola; of what is tried
 
 
 LONGEST_STEP_S, FAST, FEW_PAIRS, MOVED_OFTEN = 2.0, 3.0, 5, 0.7
@@ -56,30 +74,41 @@ class ImplausibleWarning(UserWarning):
     """A replay's innovations are not what its filter believes, or its solution is not finite."""
 
 
-def check_recording(
-    recording: AnyRecording, initial: NavState, measured: Bools, variance: Floats
-) -> None:
-    """Raise a ValueError that names the likeliest cause where a recording can't be. `measured`
-    (K, 2n) what is there, and `variance` (K, 2n) of its noise."""
-    if isinstance(recording, PositionRecording):
-        _check_motion(recording, initial)
-    _check_start(initial)
-    _check_force(recording, initial)
+def check_measured(recording: AnyRecording, measured: Bools, variance: Floats) -> None:
+    """Raise a ValueError that names the likeliest cause where measurements can't be, wherever the
+    receiver is. `measured` (K, 2n) what is there, and `variance` (K, 2n) of its noise."""
     low = measured & ~((variance >= SMALLEST_SD**2) & np.isfinite(variance))
     for k, j in np.argwhere(low)[:1]:
         raise ValueError(
             f"a noise variance must be finite and at least {SMALLEST_SD**2:g}, got "
             f"{variance[k, j]:g} in column {j} at {_time(recording, k)}"
         )
-    visible = measured[:, : measured.shape[1] // 2]
-    if isinstance(recording, Recording) and visible.any():
+    visible = _split(measured)
+    if isinstance(recording, PositionRecording):
+        _check_places(recording)
+    elif visible.any():
         _check_absent(recording, visible)
-        _check_satellites(recording, initial, visible)
-        _check_ranges(recording, initial, visible)
+        _check_satellites(recording, visible)
         _check_rates(recording, visible)
 
 
-def check_places(recording: PositionRecording) -> None:
+def check_recording(recording: AnyRecording, initial: NavState, measured: Bools) -> None:
+    """Raise where it can't be from this initial state on."""
+    if isinstance(recording, PositionRecording):
+        _check_motion(recording, initial)
+    _check_start(initial)
+    _check_force(recording, initial)
+    if isinstance(recording, Recording) and (visible := _split(measured)).any():
+        _check_sight(recording, initial, visible)
+        _check_ranges(recording, initial, visible)
+
+
+def _split(measured: Bools) -> Bools:
+    """(K, n) channels that are measured."""
+    return measured[:, : measured.shape[1] // 2]
+
+
+def _check_places(recording: PositionRecording) -> None:
     """Raise where positions are not near the Earth, or velocities too large."""
     position, velocity = (np.asarray(getattr(recording, name)) for name in SOLVED)
     radius, speed = np.linalg.norm(position, axis=1), np.linalg.norm(velocity, axis=1)
@@ -166,7 +195,7 @@ def _check_start(initial: NavState) -> None:
     )
     off = float(np.abs(C @ C.T - np.eye(3)).max())
     require(
-        off < 0.05 and np.linalg.det(C) > 0.0,
+        off < ROTATION and np.linalg.det(C) > 0.0,
         "`initial.C_eb` must be a rotation to ECEF from body axes, got one with "
         f"|C C' - I| = {off:.3g} and determinant {np.linalg.det(C):.3g}",
     )
@@ -227,13 +256,32 @@ def _check_absent(recording: Recording, visible: Bools) -> None:
                 f"`{name}` must be NaN where a channel has no measurement, got 0.0 in {zero.sum()} "
                 f"of {measured} places, first in channel {j} at {_time(recording, k)}"
             )
+    ranges, rates = np.asarray(recording.pseudorange), np.asarray(recording.range_rate)
+    rows, _, pairs = _pair_epochs(recording, visible)
+    held = pairs & (np.diff(ranges[rows], axis=0) == 0.0) & (np.diff(rates[rows], axis=0) == 0.0)
+    if held.sum() > max(2, measured // 1000):
+        k, j = np.argwhere(held)[0]
+        raise ValueError(
+            f"pseudorange and range rate must be new in every epoch, got the same as before in "
+            f"{held.sum()} places, first in channel {j} at {_time(recording, rows[k + 1])} (are "
+            "they held where there is no measurement, which is NaN here?)"
+        )
+    order = np.argsort(np.where(visible, ranges, np.nan), axis=1)
+    twice = np.diff(np.take_along_axis(ranges, order, axis=1), axis=1) == 0.0
+    twice &= np.take_along_axis(visible, order, axis=1)[:, 1:]
+    if (epochs := np.flatnonzero(twice.any(axis=1))).size > 1:
+        k, j = epochs[0], int(np.argmax(twice[epochs[0]]))
+        raise ValueError(
+            f"channels {sorted(order[k, j : j + 2].tolist())} have the same pseudorange in "
+            f"{epochs.size} epochs, first at {_time(recording, k)} (is a satellite there twice?)"
+        )
 
 
-def _check_satellites(recording: Recording, initial: NavState, visible: Bools) -> None:
-    s, r = np.asarray(recording.satellite_position_e), np.asarray(initial.position_e)
+def _check_satellites(recording: Recording, visible: Bools) -> None:
+    s, v = (np.asarray(getattr(recording, f"satellite_{x}_e")) for x in ("position", "velocity"))
     radius = np.linalg.norm(s, axis=-1)
     for name, speed in (
-        ("satellite_velocity_e", np.linalg.norm(recording.satellite_velocity_e, axis=-1)),
+        ("satellite_velocity_e", np.linalg.norm(v, axis=-1)),
         ("range_rate", np.abs(recording.range_rate)),
     ):
         for k, j in np.argwhere(visible & ~(speed <= 2.0 * FASTEST))[:1]:
@@ -241,19 +289,59 @@ def _check_satellites(recording: Recording, initial: NavState, visible: Bools) -
                 f"`{name}` must be at most {2.0 * FASTEST:g} m/s, got {speed[k, j]:g} in channel "
                 f"{j} at {_time(recording, k)} (which unit has it?)"
             )
-    with np.errstate(invalid="ignore"):
-        wrong = visible & ~((radius >= SATELLITE_RADII[0]) & (radius <= SATELLITE_RADII[1]))
-        sight = s - r
-        along = sight @ r
-        nearest = np.sqrt(np.maximum(r @ r - along**2 / (sight**2).sum(axis=-1), 0.0))
-        hidden = visible & (along < 0.0) & (nearest < OPAQUE_RADIUS)
-    for k, j in np.argwhere(wrong)[:1]:
-        cause = " (are they in km?)" if 1e3 * radius[k, j] > SATELLITE_RADII[0] else ""
+
+    def far(size: float) -> bool:
+        return SATELLITE_RADII[0] <= size <= SATELLITE_RADII[1]
+
+    for k, j in np.argwhere(
+        visible & (abs(radius - np.mean(SATELLITE_RADII)) > np.ptp(SATELLITE_RADII) / 2.0)
+    )[:1]:
+        cause = " (are they in km?)" if far(1e3 * radius[k, j]) else ""
         raise ValueError(
             f"`satellite_position_e` must be ECEF in m, {SATELLITE_RADII[0]:g} to "
             f"{SATELLITE_RADII[1]:g} from the Earth's centre, got {radius[k, j]:g} in channel {j} "
             f"at {_time(recording, k)}{cause}"
         )
+    rows, step, pairs = _pair_epochs(recording, visible)
+    if pairs.sum() < FEW_PAIRS:
+        return
+    middle = 0.5 * (v[rows][1:] + v[rows][:-1])
+    moved = np.where(pairs[..., None], np.diff(s[rows], axis=0) / step[..., None], np.nan)
+
+    def misfit(velocity: Floats) -> float:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # a channel without a pair
+            off = np.linalg.norm(np.nanmedian(moved - velocity, axis=0), axis=-1)
+            return float(np.nanmedian(off))
+
+    if (found := misfit(middle)) > ALIKE:
+        turned = np.cross([0.0, 0.0, EARTH_RATE], 0.5 * (s[rows][1:] + s[rows][:-1]))
+        cause = "do they belong together"
+        if misfit(1e3 * middle) < ALIKE:
+            cause = "is it in km/s"
+        elif misfit(middle - turned) < ALIKE:
+            cause = "is it with respect to inertial axes"
+        raise ValueError(
+            "`satellite_velocity_e` must be ECEF in m/s, but `satellite_position_e` moves "
+            f"otherwise, by {found:.3g} m/s in the median ({cause}?)"
+        )
+
+
+def _pair_epochs(recording: Recording, visible: Bools) -> tuple[NDArray[np.intp], Floats, Bools]:
+    """Epochs that have at least three channels, the times between them (K-1, 1), and which channels
+    (K-1, n) are measured in both."""
+    rows = np.flatnonzero(visible.sum(axis=1) > 2)
+    step = np.diff(np.asarray(recording.gnss_time)[rows])[:, None]
+    return rows, step, visible[rows][1:] & visible[rows][:-1] & (step <= 60.0)
+
+
+def _check_sight(recording: Recording, initial: NavState, visible: Bools) -> None:
+    s, r = np.asarray(recording.satellite_position_e), np.asarray(initial.position_e)
+    with np.errstate(invalid="ignore"):
+        sight = s - r
+        along = sight @ r
+        nearest = np.sqrt(np.maximum(r @ r - along**2 / (sight**2).sum(axis=-1), 0.0))
+        hidden = visible & (along < 0.0) & (nearest < OPAQUE_RADIUS)
     # later the receiver may be elsewhere
     hidden[np.asarray(recording.gnss_time) > 60.0] = False
     for k, j in np.argwhere(hidden)[:1]:
@@ -280,10 +368,12 @@ def _check_ranges(recording: Recording, initial: NavState, visible: Bools) -> No
     for row, j in np.argwhere(found > allowed)[:1]:
         k = rows[row]
         cause = "do ranges, satellites and their times belong together"
-        for unit, factor in (("km", 1e3), ("s", SPEED_OF_LIGHT), ("ms", CLOCK_STEP)):
+        for unit, factor in UNITS.items():
             if np.nanmax(spread(factor)[row]) < RANGE_SPREAD:
                 cause = f"are they in {unit}"
-        if np.nanmedian(found[row]) < RANGE_SPREAD:
+        if np.nanmedian(found[row]) < RANGE_SPREAD and not (
+            MEASURED_RANGES[0] < ranges[k, j] < MEASURED_RANGES[1]
+        ):
             cause = "is it the mark of an absent measurement, which is NaN here"
         raise ValueError(
             f"`pseudorange` of {ranges[k, j]:g} in channel {j} at {_time(recording, k)} differs by "
@@ -294,23 +384,21 @@ def _check_ranges(recording: Recording, initial: NavState, visible: Bools) -> No
 
 def _check_rates(recording: Recording, visible: Bools) -> None:
     """The change of a range is the integral of its rate, whatever the receiver does."""
-    time, rate = np.asarray(recording.gnss_time), np.asarray(recording.range_rate)
-    step = np.diff(time)[:, None]
-    pairs = visible[1:] & visible[:-1] & (step <= 60.0)
-    change = np.where(pairs, np.diff(np.asarray(recording.pseudorange), axis=0), np.nan)
-    mean = 0.5 * (rate[1:] + rate[:-1])
-    rows = np.flatnonzero(pairs.sum(axis=1) > 2)
-    common = np.nanmedian((change - mean * step)[rows], axis=1)
+    rows, step, pairs = _pair_epochs(recording, visible)
+    change, mean, common = _list_changes(recording, rows, step, pairs)
     steps = np.round(common / CLOCK_STEP)
     for row in np.flatnonzero((steps != 0) & (np.abs(common - steps * CLOCK_STEP) < 1e3))[:1]:
         raise ValueError(
-            f"all pseudoranges jump by {common[row]:.0f} m at {_time(recording, rows[row] + 1)}, "
+            f"all pseudoranges jump by {common[row]:.0f} m at {_time(recording, rows[row + 1])}, "
             f"{steps[row]:g} ms of the receiver's clock: take its jumps out of the pseudoranges"
         )
-    fast = pairs & (np.abs(mean) > 50.0)
-    if fast.sum() < 10:
-        return
-    ratio = (change / step)[fast] / mean[fast]
+    fast = pairs & (np.abs(mean) > SLOWEST_RANGE)
+    if fast.sum() < 10:  # rates are too small, unless ranges grow by as little
+        fast = pairs & (np.abs(change / step) > SLOWEST_RANGE)
+        if fast.sum() < max(10, pairs.sum() // 2):
+            return
+    with np.errstate(divide="ignore"):
+        ratio = (change / step)[fast] / mean[fast]
     slope = float(np.median(ratio))
     scatter = 1.5 * float(np.median(np.abs(ratio - slope))) / np.sqrt(ratio.size)
     if abs(slope - 1.0) > max(0.5, 5.0 * scatter):
@@ -319,10 +407,28 @@ def _check_rates(recording: Recording, visible: Bools) -> None:
             cause = "is it Doppler's sign, positive where the satellite comes nearer"
         elif 0.15 < -slope < 0.3:
             cause = "is it a Doppler shift in Hz"
+        elif 900.0 < slope < 1100.0:
+            cause = "is it in km/s"
+        for unit, factor in UNITS.items():
+            if 0.9 < slope * factor < 1.1:
+                cause = f"are they in {unit}"
         raise ValueError(
             "`range_rate` must be the rate at which the pseudorange grows, in m/s, but the "
             f"pseudoranges grow by {slope:.3g} times as much ({cause}?)"
         )
+
+
+def _list_changes(
+    recording: Recording, rows: NDArray[np.intp], step: Floats, pairs: Bools
+) -> tuple[Floats, Floats, Floats]:
+    """(K-1, n) changes of the pseudoranges between epochs and means of their rates, and what all
+    channels of an epoch (K-1,) have in common of the difference [m]; 0 where three have none."""
+    ranges, rate = (np.asarray(x)[rows] for x in (recording.pseudorange, recording.range_rate))
+    change = np.where(pairs, np.diff(ranges, axis=0), np.nan)
+    mean = 0.5 * (rate[1:] + rate[:-1])
+    common, many = np.zeros(len(change)), pairs.sum(axis=1) > 2
+    common[many] = np.nanmedian((change - mean * step)[many], axis=1)
+    return change, mean, common
 
 
 def flag_epochs(misfit: Floats) -> NDArray[np.str_]:
@@ -344,74 +450,138 @@ def flag_epochs(misfit: Floats) -> NDArray[np.str_]:
     return flag
 
 
-def _shift(recording: Recording, elapsed: Any) -> dict[str, Any]:
-    """Satellites a little later on their orbits; `elapsed` (K, n) or a number [s]."""
-    s, v = (np.asarray(getattr(recording, f"satellite_{x}_e")) for x in ("position", "velocity"))
-    t, turn = np.asarray(elapsed)[..., None], np.array([0.0, 0.0, EARTH_RATE])
-    with np.errstate(invalid="ignore"):  # where none is
-        pull = -GRAVITATIONAL_CONSTANT * s / np.linalg.norm(s, axis=-1, keepdims=True) ** 3
-    acceleration = pull - 2.0 * np.cross(turn, v) - np.cross(turn, np.cross(turn, s))
-    return {
-        "satellite_position_e": s + v * t + 0.5 * acceleration * t * t,
-        "satellite_velocity_e": v + acceleration * t,
-    }
+def _shift(position: Floats, velocity: Floats, elapsed: Any) -> tuple[Floats, Floats]:
+    """Satellites (..., 3) a little later on their orbits; `elapsed` (...) or a number [s]."""
+    s, v, turn = position, velocity, np.array([0.0, 0.0, EARTH_RATE])
+    steps = max(1, int(np.ceil(np.nanmax(np.abs(elapsed)) / SHIFT_S)))
+    t = np.asarray(elapsed)[..., None] / steps
+    for _ in range(steps):
+        with np.errstate(invalid="ignore"):  # where none is
+            pull = -GRAVITATIONAL_CONSTANT * s / np.linalg.norm(s, axis=-1, keepdims=True) ** 3
+        acceleration = pull - 2.0 * np.cross(turn, v) - np.cross(turn, np.cross(turn, s))
+        s, v = s + v * t + 0.5 * acceleration * t * t, v + acceleration * t
+    return s, v
+
+
+def _fit_elapsed(
+    ranges: Floats, rates: Floats, position: Floats, velocity: Floats, guess: Any
+) -> tuple[float, Fix]:
+    """Time by which satellites are too early for the ranges of an epoch [s], and their fix then.
+    Raises ValueError where it is not found."""
+
+    def fit(later: float) -> tuple[Floats, Fix]:
+        s, v = _shift(position, velocity, later)
+        fix = least_squares_fix(ranges, rates, s, v, guess_e=guess)
+        left = ranges - expect_ranges(s, fix.position_e) - fix.clock_bias_m
+        return left[np.isfinite(left)], fix
+
+    elapsed = 0.0
+    for _ in range(6):
+        now, fix = fit(elapsed)
+        slope = fit(elapsed + 1.0)[0] - now
+        elapsed -= float(now @ slope / (slope @ slope))
+        require(abs(elapsed) < LONGEST_SHIFT_S, "the satellites fit at no time")
+    return elapsed, fix
+
+
+def expect_ranges(s: Floats, r: Floats) -> Floats:
+    """Ranges without clocks, with the Sagnac effect to first order [m]."""
+    sagnac = EARTH_RATE / SPEED_OF_LIGHT * (s[..., 0] * r[..., 1] - s[..., 1] * r[..., 0])
+    return np.asarray(np.linalg.norm(s - r, axis=-1) + sagnac)
 
 
 def _without_offsets(recording: Recording, initial: NavState) -> dict[str, Any]:
     """Every channel without what geometry and the receiver's clock leave of its first range."""
     ranges, s = np.asarray(recording.pseudorange), np.asarray(recording.satellite_position_e)
     moved = np.asarray(recording.gnss_time)[:, None] * np.asarray(initial.velocity_e)
-    r = (initial.position_e + moved)[:, None]
-    sagnac = EARTH_RATE / SPEED_OF_LIGHT * (s[..., 0] * r[..., 1] - s[..., 1] * r[..., 0])
     clock = initial.clock_bias_m + initial.clock_drift_mps * np.asarray(recording.gnss_time)
-    left = ranges - np.linalg.norm(s - r, axis=-1) - sagnac - clock[:, None]
+    left = ranges - expect_ranges(s, (initial.position_e + moved)[:, None]) - clock[:, None]
     first = np.argmax(np.isfinite(left), axis=0)
     return {"pseudorange": ranges - left[first, np.arange(left.shape[1])]}
 
 
-Changes = tuple[dict[str, Any], dict[str, Any]]
-MISTAKES: dict[str, Callable[[Any, NavState], Changes]] = {
-    "`angular_rate_b` is in deg/s": lambda x, _: (
-        {"angular_rate_b": DEGREE * np.asarray(x.angular_rate_b)},
-        {},
-    ),
-    "`angular_rate_b` was turned into rad/s twice": lambda x, _: (
-        {"angular_rate_b": np.asarray(x.angular_rate_b) / DEGREE},
-        {},
-    ),
-    "`angular_rate_b` has the opposite sign": lambda x, _: (
-        {"angular_rate_b": -np.asarray(x.angular_rate_b)},
-        {},
-    ),
-    "`specific_force_b` has the sign of gravity": lambda x, start: (
-        {"specific_force_b": -np.asarray(x.specific_force_b)},
-        {"C_eb": np.asarray(start.C_eb) * [1.0, -1.0, -1.0]},  # it was levelled upside down
-    ),
-    "`C_eb` is transposed": lambda _, start: ({}, {"C_eb": np.asarray(start.C_eb).T}),
-    "`C_eb` is an attitude to local axes, north, east and down": lambda _, start: (
-        {},
-        {"C_eb": _local_axes(start) @ np.asarray(start.C_eb)},
-    ),
-}
-OF_SATELLITES: dict[str, Callable[[Any, NavState], Changes]] = {
-    "satellites are where they were 18 leap seconds before (UTC for GPS time)": lambda x, _: (
-        _shift(x, LEAP_SECONDS),
-        {},
-    ),
-    "satellites are where they will be 18 leap seconds after": lambda x, _: (
-        _shift(x, -LEAP_SECONDS),
-        {},
-    ),
-    "satellites are where they are when a signal arrives, not when it leaves them": lambda x, _: (
-        _shift(x, np.asarray(x.pseudorange) / -SPEED_OF_LIGHT),
-        {},
-    ),
-    "the satellites' clocks or delays were not taken out of the pseudoranges": lambda x, start: (
-        _without_offsets(x, start),
-        {},
-    ),
-}
-"""What undoes each common mistake: fields of a recording and of the initial state."""
+def _list_mistakes(x: AnyRecording, start: NavState) -> Iterator[Mistake]:
+    """Common mistakes, each with what undoes it in the recording and in the initial state."""
+    rate, force, C = (np.asarray(v) for v in (x.angular_rate_b, x.specific_force_b, start.C_eb))
+    ends, times = np.asarray(x.imu_time), np.asarray(x.gnss_time)
+    for words, right in (
+        ("is in deg/s", DEGREE * rate),
+        ("was turned into rad/s twice", rate / DEGREE),
+        ("has the opposite sign", -rate),
+        ("is of increments, not of rates", rate / np.diff(ends, prepend=0.0)[:, None]),
+    ):
+        yield f"`angular_rate_b` {words}", {"angular_rate_b": right}, {}
+    yield "`specific_force_b` is in ft/s^2", {"specific_force_b": 0.3048 * force}, {}
+    yield (
+        "`specific_force_b` has the sign of gravity (or other axes than `angular_rate_b`)",
+        {"specific_force_b": -force},
+        {"C_eb": C * [1.0, -1.0, -1.0]},  # it was levelled upside down
+    )
+    yield "`C_eb` is transposed", {}, {"C_eb": C.T}
+    local = _local_axes(start)
+    yield "`C_eb` is an attitude to local axes, north, east and down", {}, {"C_eb": local @ C}
+    for angle, (c, s) in ((90, (0.0, 1.0)), (-90, (0.0, -1.0)), (180, (-1.0, 0.0))):
+        turned = local @ [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]] @ local.T @ C
+        words = f"attitude and axes of the inertial sensor differ by {angle} deg in heading"
+        yield words, {}, {"C_eb": turned}
+    for words, factor in (("twice", 2.0), ("half", 0.5)):
+        fields = {"imu_time": factor * ends, **_choose(x, times <= factor * ends[-1])}
+        yield f"inertial samples last {words} as long as `imu_time` says", fields, {}
+    if isinstance(x, Recording):
+        yield from _list_mistakes_of_ranges(x, start)
+    else:
+        position, velocity = np.asarray(x.position_e), np.asarray(x.velocity_e)
+        for k in np.flatnonzero(np.isfinite(position + velocity).all(axis=1))[:1]:
+            yield from _list_mistakes_of_start(Fix(position[k], velocity[k], 0, 0), times[k], start)
+
+
+def _list_mistakes_of_start(fix: Fix, elapsed: float, start: NavState) -> Iterator[Mistake]:
+    """Against the first fix, `elapsed` after the start [s]."""
+    for name, right, unit in (
+        ("position_e", fix.position_e - elapsed * fix.velocity_e, "m"),
+        ("velocity_e", fix.velocity_e, "m/s"),
+        ("clock_bias_m", fix.clock_bias_m - elapsed * fix.clock_drift_mps, "m"),
+        ("clock_drift_mps", fix.clock_drift_mps, "m/s"),
+    ):
+        off = np.hypot.reduce(np.ravel(right - getattr(start, name)))
+        yield f"`initial.{name}` is {off:.3g} {unit} from that of the first fix", {}, {name: right}
+
+
+def _list_mistakes_of_ranges(x: Recording, start: NavState) -> Iterator[Mistake]:
+    ranges, rates, s, v = (np.asarray(getattr(x, name)) for name in MAY_BE_NAN)
+    times, names = np.asarray(x.gnss_time), MAY_BE_NAN[2:]
+    right = dict(zip(names, _shift(s, v, ranges / -SPEED_OF_LIGHT), strict=True))
+    yield "satellites are where they are when a signal arrives, not when it leaves them", right, {}
+    visible = np.isfinite(ranges + rates + (s + v).sum(axis=-1))
+    with suppress(ValueError):
+        for k in np.flatnonzero(visible.sum(axis=1) > 3)[:1]:
+            fix = least_squares_fix(ranges[k], rates[k], s[k], v[k], guess_e=start.position_e)
+            yield from _list_mistakes_of_start(fix, times[k], start)
+    with suppress(ValueError):
+        for k in np.flatnonzero(visible.sum(axis=1) > 5)[:1]:
+            elapsed, fix = _fit_elapsed(ranges[k], rates[k], s[k], v[k], start.position_e)
+            late, days, cause = abs(elapsed), round(abs(elapsed) / DAILY_S), ""
+            if abs(late - LEAP_SECONDS) < 0.5:
+                cause = ": leap seconds, UTC for GPS time"
+            elif abs(late / DAILY_S - days) < 0.05 * days:
+                cause = ": orbits of another day"
+            way = f"were {late:.3g} s before" if elapsed > 0.0 else f"will be {late:.3g} s after"
+            right = dict(zip(names, _shift(s, v, elapsed), strict=True))
+            position = fix.position_e - times[k] * np.asarray(start.velocity_e)
+            state = {"position_e": position, "clock_bias_m": fix.clock_bias_m}
+            yield f"satellites are where they {way}{cause}", right, state
+    rows, step, pairs = _pair_epochs(x, visible)
+    for common in (_list_changes(x, rows, step, pairs)[2],) if rows.size > 1 else ():
+        at = int(np.argmax(np.abs(common)))
+        words = f"all pseudoranges jump by {common[at]:.0f} m at {_time(x, rows[at + 1])}"
+        later = np.arange(len(ranges)) >= rows[at + 1]
+        right = {"pseudorange": ranges - common[at] * later[:, None]}
+        yield f"{words}, as the receiver's clock does", right, {}
+    for j in range(ranges.shape[1]):
+        right = {"pseudorange": np.where(np.arange(ranges.shape[1]) == j, np.nan, ranges)}
+        yield f"something in channel {j} alone: its satellite, its clock, or an attack", right, {}
+    right = _without_offsets(x, start)
+    yield "the satellites' clocks or delays were not taken out of the pseudoranges", right, {}
 
 
 def explain_flags(
@@ -428,21 +598,17 @@ def explain_flags(
     first = int(flagged[0])
     finite = misfit[flagged][np.isfinite(misfit[flagged])]
     times = f"{np.sqrt(np.median(finite)):.3g} times" if finite.size else "beyond all bounds of"
-    head = _cut(recording, min(first + WINDOW, len(flag), TRIED_EPOCHS))
-    ranges = isinstance(recording, Recording)
-    cause = _blame_signal(by_signal[flagged], ranges)
+    head = _cut(recording, min(2 * (first + WINDOW), len(flag), TRIED_EPOCHS))
+    cause = _blame_signal(by_signal[flagged], isinstance(recording, Recording))
     if first < TRIED_EPOCHS:
-        before = _typical(misfit[first : len(np.asarray(head.gnss_time))])
-        after = {}
-        for words, undo in {**MISTAKES, **(OF_SATELLITES if ranges else {})}.items():
-            changed, start = undo(head, initial)
+        before = _average(misfit[first : len(np.asarray(head.gnss_time))])
+        best = min(MISFIT, 0.1 * before)
+        for words, changed, start in _list_mistakes(head, initial):
             with suppress(ValueError):  # no sensor turns so fast
                 other = dataclasses.replace(head, **changed)
                 again = misfit_with(other, dataclasses.replace(initial, **start))
-                after[words] = _typical(again[first:])
-        best = min(after, key=lambda words: after[words])
-        if after[best] < min(MISFIT, 0.1 * before):
-            cause = best
+                if (after := _average(again[first:])) < best:
+                    best, cause = 0.95 * after, words  # the last ones fit others' mistakes, too
     return (
         f"{len(flagged)} of {len(flag)} epochs are flagged, first {str(flag[first])!r} at "
         f"{_time(recording, first)}: innovations are {times} what the filter believes; the "
@@ -450,27 +616,29 @@ def explain_flags(
     )
 
 
-def _typical(misfit: Floats) -> float:
-    """Median over measured epochs; infinity where one is not finite."""
+def _average(misfit: Floats) -> float:
+    """Mean over measured epochs; infinity where one is not finite."""
     measured = misfit[~(misfit < 0.0)]
-    sound = measured.size and np.isfinite(measured).all()
-    return float(np.median(measured)) if sound else np.inf
+    return float(np.nan_to_num(measured.mean(), nan=np.inf)) if measured.size else np.inf
 
 
-def _cut(recording: AnyRecording, epochs: int) -> AnyRecording:
-    samples = int(recording.epoch_samples()[epochs - 1])
-    sizes = {field.name: epochs for field in dataclasses.fields(recording)}
-    sizes |= dict.fromkeys(("imu_time", "specific_force_b", "angular_rate_b"), samples)
-    cut: dict[str, Any] = {
-        name: np.asarray(getattr(recording, name))[:size] for name, size in sizes.items()
+def _choose(x: AnyRecording, epochs: Any) -> Fields:
+    names = {field.name for field in dataclasses.fields(x)} - {"imu_time", *IN_SAMPLES}
+    return {name: np.asarray(getattr(x, name))[epochs] for name in names}
+
+
+def _cut(x: AnyRecording, epochs: int) -> AnyRecording:
+    samples = slice(int(x.epoch_samples()[epochs - 1]))
+    cut: Fields = {
+        name: np.asarray(getattr(x, name))[samples] for name in ("imu_time", *IN_SAMPLES)
     }
-    return dataclasses.replace(recording, **cut)
+    return dataclasses.replace(x, **cut, **_choose(x, slice(epochs)))
 
 
 BLAMED = {
     True: (
-        "something in the pseudoranges alone: satellite clocks, times of the orbits, a jump of the "
-        "receiver's clock, or an attack",
+        "something in the pseudoranges alone: satellite clocks, orbits or their times, noise, a "
+        "jump of the receiver's clock, or an attack",
         "something in the range rates alone: their noise, the satellites' velocities",
     ),
     False: (

@@ -37,7 +37,7 @@ from ..earth.wgs84 import (
 )
 from .epoch import FILTER
 from .log import MOST_ELEMENTS, InnovationLog
-from .plausibility import CLOCK_STEP, LEAP_SECONDS, ImplausibleWarning
+from .plausibility import CLOCK_STEP, LEAP_SECONDS, ImplausibleWarning, expect_ranges
 from .recording import LONGEST_SAMPLE_S, Recording
 from .replay import Solution, replay
 from .start import MOVING_MPS, find_start, fix_epochs
@@ -233,10 +233,8 @@ class _Measured:
     def _list_residuals(self, fixes: Floats) -> tuple[Floats, Floats]:
         """(K, n) of the pseudoranges [m], and (K, n, 3) lines of sight."""
         r, s = fixes[:, None, :3], self.position
-        distance = np.linalg.norm(s - r, axis=-1)
-        sagnac = EARTH_RATE / SPEED_OF_LIGHT * (s[..., 0] * r[..., 1] - s[..., 1] * r[..., 0])
-        left = self.pseudorange - distance - sagnac - fixes[:, 6, None]
-        return left, (s - r) / distance[..., None]
+        left = self.pseudorange - expect_ranges(s, r) - fixes[:, 6, None]
+        return left, (s - r) / np.linalg.norm(s - r, axis=-1)[..., None]
 
     def _spread(self, fixes: Floats, without: int = -1) -> float:
         """Median residual of fixes of more than four satellites [m]."""

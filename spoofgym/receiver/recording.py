@@ -43,7 +43,12 @@ class InertialRecording:
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {"3": 3}
         for field in fields(self):
-            array = np.array(getattr(self, field.name), dtype=np.float64)
+            given = getattr(self, field.name)
+            kind = np.asarray(given).dtype.kind
+            require(
+                kind in "iufO", f"`{field.name}` must be numbers, got {np.asarray(given).dtype}"
+            )
+            array = np.array(np.ma.filled(np.ma.array(given, dtype=np.float64), np.nan))
             letters = _SHAPES[field.name]
             require(
                 array.ndim == len(letters),
@@ -54,6 +59,9 @@ class InertialRecording:
                     raise ValueError(
                         f"`{field.name}` has shape {array.shape}, but {letter} is {sizes[letter]}"
                     )
+            require(
+                not np.isinf(array).any(), f"`{field.name}` must not be infinite; absent is NaN"
+            )
             require(
                 field.name in (*MAY_BE_NAN, *SOLVED) or np.isfinite(array).all(),
                 f"`{field.name}` must be finite",

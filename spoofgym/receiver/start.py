@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..core.registry import require
 from ..earth.wgs84 import DEGREE, dcm_e_from_n, ecef_to_geodetic, gravity
+from .plausibility import RECEIVER_RADII
 from .recording import MAY_BE_NAN, SOLVED, AnyRecording, PositionRecording, Recording
 from .snapshot import least_squares_fix
 from .tight import NavState
@@ -100,9 +101,14 @@ def start_recording(recording: AnyRecording) -> tuple[AnyRecording, NavState, in
     number of the epoch."""
     time = np.asarray(recording.gnss_time)
     imu = np.asarray(recording.imu_time), np.asarray(recording.specific_force_b)
-    within_s = LEVELLING_S
+    within_s, far = LEVELLING_S, ""
     if isinstance(recording, Recording):
         fixes = fix_epochs(*(np.asarray(getattr(recording, name)) for name in MAY_BE_NAN))
+        radius = np.linalg.norm(fixes[:, :3], axis=1)
+        if (off := (radius < RECEIVER_RADII[0]) | (radius > RECEIVER_RADII[1])).any():
+            far = f"; {off.sum()} fixes are {np.median(radius[off]):.3g} m from the Earth's centre "
+            far += "(do ranges, satellites and their times belong together?)"
+            fixes[off] = np.nan
     else:
         position, velocity = (np.asarray(getattr(recording, name)) for name in SOLVED)
         if not np.isfinite(velocity).any():
@@ -112,7 +118,7 @@ def start_recording(recording: AnyRecording) -> tuple[AnyRecording, NavState, in
         row, initial = find_start(time, fixes, *imu, 2, within_s=within_s)
     except ValueError as error:
         raise ValueError(
-            f"`initial` is not found from the recording, so give it: {error}"
+            f"`initial` is not found from the recording, so give it: {error}{far}"
         ) from error
     return _cut_before(recording, row), initial, row
 

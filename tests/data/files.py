@@ -169,6 +169,44 @@ def _flightradar_tracks(folder, t):
     return _dump(folder / "tracks.json", [{"fr24_id": "35f2", "tracks": rows}])
 
 
+def _virtual_radar(folder, t):
+    answers = [
+        {"acList": [{"Id": 1, "Icao": "4B1801", "Call": "SWR1", "Lat": r.latitude,
+                     "Long": r.longitude, "Alt": r.altitude, "Spd": r.groundspeed, "Trak": r.track,
+                     "Vsi": 0, "PosTime": int(r.timestamp * 1e3)}]}
+        for r in t.itertuples()
+    ]  # fmt: skip
+    return _dump(folder / "AircraftList.json", answers)
+
+
+def _flightaware(folder, t):
+    rows = [
+        {"fa_flight_id": "SWR1-1", "altitude": r.altitude / 100.0, "groundspeed": r.groundspeed,
+         "heading": r.track, "latitude": r.latitude, "longitude": r.longitude,
+         "timestamp": f"{pandas.Timestamp(r.timestamp, unit='s').isoformat()}Z", "update_type": "A"}
+        for r in t.itertuples()
+    ]  # fmt: skip
+    return _dump(folder / "fa.json", {"actual_distance": 9, "positions": rows})
+
+
+def _base_station(folder, t):
+    """Lines of dump1090 on port 30003, with old ends of lines."""
+    lines = []
+    for r in t.itertuples():
+        day, hour = str(pandas.Timestamp(r.timestamp, unit="s")).split(" ")
+        moment = f"{day.replace('-', '/')},{hour}"
+        values = f"SWR1,{r.altitude!r},{r.groundspeed!r},{r.track!r},{r.latitude!r},{r.longitude!r}"
+        lines.append(f"MSG,3,1,1,4B1801,1,{moment},{moment},{values},0,1000,0,0,0,0")
+    return _write(folder / "sbs.csv", "\r".join(lines))
+
+
+def _thousands(folder, t):
+    swap = str.maketrans(",.", ".,")
+    t = t.assign(altitude=[f"{x:,.9f}".translate(swap) for x in t["altitude"]])
+    t.to_csv(folder / "de.csv", sep="\t", decimal=",", index=False)
+    return folder / "de.csv"
+
+
 def _spreadsheet(folder, t):
     names = {"altitude": "Altitude (ft)", "groundspeed": "Ground speed [km/h]", "timestamp": "Time"}
     table = t.assign(groundspeed=t["groundspeed"] * 1.852, icao24="4e5432").rename(columns=names)
@@ -186,4 +224,8 @@ SERVICES = {
     "Flightradar24 playback": _flightradar_playback,
     "Flightradar24 tracks": _flightradar_tracks,
     "spreadsheet": _spreadsheet,
+    "Virtual Radar": _virtual_radar,
+    "FlightAware": _flightaware,
+    "dump1090": _base_station,
+    "points for thousands": _thousands,
 }

@@ -104,9 +104,10 @@ def test_every_field_is_in_its_place_and_years_have_two_digits(written):
         assert getattr(e, name).tolist() == values, name
     assert places.keys() | {"satellite_id"} == set(Ephemerides.__dataclass_fields__)
     assert (e.root_semi_major_axis[0], e.health[1], week[1]) == (5153.7, 63.0, 2332.0)
-    for year in (1980, 1999, 2000):
-        e = read_navigation(written(HEADER_2 + G05.replace(" 5 24", f" 5 {year % 100:02d}")))
-        assert e.time_of_clock.tolist() == [gps_seconds(datetime(year, 9, 14, 22))]
+    for year, saturday in ((1980, 13), (1999, 11), (2000, 16)):
+        epoch = f" 5 {year % 100:02d}  9 {saturday}"
+        e = read_navigation(written(HEADER_2 + G05.replace(" 5 24  9 14", epoch)))
+        assert e.time_of_clock.tolist() == [gps_seconds(datetime(year, 9, saturday, 22))]
         assert abs(e.time_of_ephemeris - e.time_of_clock)[0] <= SECONDS_PER_WEEK / 2
     e = read_navigation(written(HEADER_2 + G05 + G12 + G05 + G05))
     kept, report = screen(e)
@@ -172,6 +173,15 @@ def test_habits_of_writers(written, old, new):
     assert same(read_navigation(written(header + record + other)), plain)
 
 
+@pytest.mark.filterwarnings("error")
+def test_joined_files_comments_marks_and_padding_lose_no_record(written, tmp_path):
+    comment = f"{'RINEX FILE SPLICE':60}COMMENT\n"
+    plain = read_navigation(written(HEADER_2 + G05 + G12))
+    joined = HEADER_2 + comment + G05 + comment + HEADER_2 + G12 + "\x1a\n" + "\0" * 99
+    (tmp_path / "joined.24n").write_bytes(b"\xef\xbb\xbf" + joined.encode())
+    assert same(read_navigation(tmp_path / "joined.24n"), plain)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -186,6 +196,7 @@ def test_habits_of_writers(written, old, new):
         ("0.597600000000D+06", "0.999999999999D+09", "`second_of_week` .* 0 to 604800, got 1e"),
         ("0.965000000000D+00", "               nan", "must be finite, got"),
         (" 0.0-0.15", "1e99-0.15", "line 13: the epoch must be a date up to the year 2099"),
+        (" 5 24  9 14", " 5 24  9 13", "line 13: .* within 6 h of the epoch, got 24 h"),
         (" 5 24", "-5 24", "line 13: the satellite must be 1 to 63, got -5"),
     ],
 )

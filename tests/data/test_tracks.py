@@ -142,7 +142,8 @@ def test_times_units_and_names_are_understood(table):
 
 
 def test_one_aircraft_is_taken_out_of_several(table):
-    other = table.assign(icao24="abcdef", latitude=table["latitude"] + 1.0)
+    names = ["abcdef"] * (len(table) - 1) + ["ABCDEF"]
+    other = table.assign(icao24=names, latitude=table["latitude"] + 1.0)
     both = pandas.concat([table, other]).sort_values("timestamp", kind="stable")
     for aircraft, said in ((None, "of 4b1801, abcdef, got none"), ("123456", "got '123456'")):
         with pytest.raises(ValueError, match=f"`aircraft` must be one .*{said}"):
@@ -171,7 +172,26 @@ def spoil(table, column, row, value):
             "looks like days of a spread",
         ),
         (lambda t: spoil(t, "timestamp", 3, None), "every row must have a time, got none in row 4"),
-        (lambda t: spoil(t, "timestamp", 3, "noon"), "`timestamp` must hold numbers or ISO 8601"),
+        (
+            lambda t: spoil(t, "timestamp", 3, "noon"),
+            "numbers or ISO 8601 times, got 'noon' in row 4",
+        ),
+        (lambda t: spoil(t, "groundspeed", 3, "fast"), "must hold numbers, got 'fast' in row 4"),
+        (lambda t: t.assign(latitude=4e8), r"in row 1; are they in 1e-7 deg\?$"),
+        (
+            lambda t: t.assign(timestamp=739_000.5 + t.index / 17_280.0),
+            "days of a spreadsheet or of MATLAB",
+        ),
+        (
+            lambda t: t.assign(**np.radians(t[["latitude", "longitude"]])),
+            r"are latitude and longitude in radians\?",
+        ),
+        (
+            lambda t: t.assign(
+                altitude=t["altitude"] / 100.0, groundspeed=t["groundspeed"] * 3.0
+            ).assign(timestamp=START_S + (t["timestamp"] - START_S) / 3.0),
+            "altitudes seem to be flight levels, and taken as feet .--altitude-unit fl.: at 20 m",
+        ),
         (lambda t: spoil(t, "latitude", 5, 91.5), r"-90 and 90 deg, got 91.5 deg in row 6"),
         (lambda t: spoil(t, "altitude", 5, 1e9), r"`altitude` must .* 50000 m, got 304800000 m in"),
         (lambda t: t.assign(timestamp=9e9), r"`time` must lie between 0 and 4102444800 s, got 9"),

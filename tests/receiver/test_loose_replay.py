@@ -214,8 +214,8 @@ def test_what_cannot_be_is_refused_with_its_cause(recording, mistake):
 def test_noise_must_fit_and_wrong_rates_are_named(recording):
     for noise, said in (
         (None, "assumes no noise of velocities: give `noise_variance`"),
-        (NOISE[:3], r"positive and of shape \(6,\) or \(\d+, 6\), got shape \(3,\)"),
-        (-NOISE, "must be positive"),
+        (NOISE[:3], r"must be of shape \(6,\) or \(\d+, 6\), got shape \(3,\)"),
+        (-NOISE, "must be finite and at least 1e-08, got -"),
     ):
         with pytest.raises(ValueError, match=said):
             replay(recording, RECEIVER, noise_variance=noise)

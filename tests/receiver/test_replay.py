@@ -164,8 +164,12 @@ def test_the_noise_may_be_given_by_epoch_and_channel(flight, truth):
     wrong = replace(recording, pseudorange=without)
     c = replay(wrong, receiver, initial=start, noise_variance=noise)
     assert np.abs(c.position_e - a.position_e).max() < 5.0
-    for bad in (noise[:3], np.zeros((1, 2 * N)), -noise):
-        with pytest.raises(ValueError, match="`noise_variance` must be positive and of shape"):
+    for bad, said in (
+        (noise[:3], "`noise_variance` must be of shape"),
+        (0.0 * noise, "at least 1e-08, got 0 in column 0 at"),
+        (-noise, "at least 1e-08, got -6.25 in column 0"),
+    ):
+        with pytest.raises(ValueError, match=said):
             replay(recording, receiver, initial=start, noise_variance=bad)
 
 
