@@ -40,9 +40,9 @@ def bench(
     ),
     spoofer: list[str] | None = Option(
         None,
-        help="Spoofer, may be repeated. One setting is fitted to the alarm budget: that which "
-        "is `tuned` (step:size_m=tuned), the rate of a plain ramp, or else the amplitude. With "
-        "step:amplitude=1 nothing is fitted. A shipped spoofer by its name, a learned one by "
+        help="Spoofer, may be repeated. Its amplitude, or the rate of a plain ramp, is fitted "
+        "to the alarm budget; step:size_m=tuned has that setting fitted, step:amplitude=1 "
+        "nothing. A shipped spoofer by its name, a learned one by "
         "its .onnx file. Default: ramp, accelerating-ramp, open-loop and feedback; with "
         "options of the world none, step, ramp, accelerating-ramp, open-loop, and the shipped "
         "ones that fit.",
@@ -61,7 +61,7 @@ def bench(
     verbose: Verbose = False,
     options: SuiteOptions,
     alarm_budget: float = Option(
-        0.05, help="Share of runs, silent without the attack, that may alarm; see --rule."
+        0.05, help="Share of the runs that may alarm, of those without a false alarm; see --rule."
     ),
     training_runs: int | None = Option(
         None,
@@ -71,10 +71,10 @@ def bench(
     ),
     rule: str | None = Option(
         None,
-        help="How amplitudes are fitted to the alarm budget: exact, on the evaluation runs, "
-        "with intervals that include the fit, or upper-limit, a pass mark, by the upper 95 % "
-        "limit of the alarm rate on the training runs. Default: exact, and upper-limit in a "
-        "task of the first suite.",
+        help="How amplitudes are fitted to the alarm budget. exact: the evaluation runs alarm "
+        "at just that rate, and intervals include the fit. upper-limit: the upper 95 % limit of "
+        "the rate on the training runs keeps the budget. Default: exact; upper-limit in a task "
+        "of the first suite.",
     ),
     nominal: bool = Option(
         False,
@@ -86,8 +86,8 @@ def bench(
         None,
         min=0,
         max=opt.LARGEST_RUNS,
-        help="Runs on which the worst attack of the attack suite is chosen; 0 to leave the "
-        "protection out.",
+        help="Runs on which the worst attack of the suite is chosen; with 0 none is, and what "
+        "it exceeds is left out.",
     ),
     threads: opt.Threads = None,
     jobs: int | None = Option(

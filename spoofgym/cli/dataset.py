@@ -23,8 +23,8 @@ def dataset(
     task: str | None = Option(None, help="World of a task, S1 to S3 or T1 to T6; its detector."),
     detector: str | None = Option(
         None,
-        help="Passive detector whose statistic attacks by feedback see; the task's by default, "
-        f"without one there are no such attacks. {opt.SPEC_HELP}",
+        help="Passive detector whose statistic attacks by feedback see. Default: the task's; "
+        f"without a detector there are no such attacks. {opt.SPEC_HELP}",
     ),
     term: list[str] | None = Option(
         None,
@@ -59,9 +59,9 @@ def dataset(
 ) -> None:
     """Write labelled episodes to train a detector on (resumable).
 
-    In memory a run takes 4 bytes an epoch and observation, for two episodes, and twice that while
-    it is read. Where the domain draws ages (`age_s`) all are as long as the oldest: by default 3 MB
-    with an hour before the attack.
+    A run has two episodes, with and without the attack, of 4 bytes an epoch and observation; a
+    reader needs twice that in memory. Where the domain draws ages (`age_s`) all episodes are as
+    long as the oldest: by default a run takes 3 MB, with an hour before the attack.
     """
     from ..bench.experiments import Store
     from ..bench.report.results import DATASET

@@ -188,9 +188,9 @@ class WorldOptions:
         "environment.",
     )
     live_s: float | None = Option(
-        None, help="Last part of the warm-up, with the detectors live, in seconds."
+        None, help="Last part of that, in which detectors may alarm, in seconds."
     )
-    attack_s: float | None = Option(None, help="Command phase of the attack, in seconds.")
+    attack_s: float | None = Option(None, help="Time that the attack lasts, in seconds.")
     time_to_alert_s: float | None = Option(
         None,
         help="Time to alert, in seconds: displacement induced within this time before an alarm "

@@ -26,8 +26,8 @@ def warmup(
 
     Every environment plays an episode as single and as vector environment, and so do all detectors
     at once, in three to eight minutes of a processor. What was compiled is stored for all later
-    processes, until spoofgym or numba changes. After it `bench` still compiles for some 3 s, `demo`
-    for less than 1 s, the other commands not at all.
+    processes, until spoofgym or numba changes. After it `bench` and `limits` still compile for some
+    3 s, `demo` for less than 1 s.
     """
     import gymnasium as gym
 
