@@ -1,6 +1,7 @@
 """Do the calibrations of the headlines hold on fresh runs?  Counted, kept and shown.
 
-    python -m tools.holdouts      # counts, and writes docs/holdouts.json
+    python -m tools.holdouts                        # counts, and writes docs/holdouts.json
+    python -m tools.holdouts --task S1 --runs 4096  # the suite of a task, added to what is kept
 
 The seeds are those of the split `holdout`, runs 0 to N - 1, entropy 0: fixed before the first
 count, and never drawn again.
@@ -18,14 +19,20 @@ from typing import Any, NamedTuple
 
 from agents.folder import write_json
 from spoofgym.bench.experiments.calibration import hold_out, transfer
-from spoofgym.bench.report.table import Table
+from spoofgym.bench.experiments.suite import list_standard_detectors
+from spoofgym.bench.report.table import Table, interval
+from spoofgym.bench.runs.players import specify_detector
+from spoofgym.bench.runs.world import World
+from spoofgym.bench.scores.statistics import wilson
 from spoofgym.calibration.holdouts import HOLDOUT_WEIGHING
+from spoofgym.calibration.thresholds import inner_detectors
 from spoofgym.core.progress import show_progress
 from spoofgym.detectors import Calibration, Detector
 from spoofgym.detectors.calibrated import STANDARD_RATE, describe_identity
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, hourly_rate, load_stored
 from spoofgym.simulation.setup import Setup
 from spoofgym.simulation.simulator import weighs
+from spoofgym.tasks import get_task
 from tools.calibrations import HEADLINES, build_setup, list_detectors
 from tools.pages import DOCS, fit_tables, put_between, render_page
 
@@ -114,6 +121,22 @@ def count_holdouts(
     }
 
 
+def count_task(task: str, runs: int) -> dict[str, Any]:
+    """Hold-out of the detectors of a task's suite that have a calibration in its world."""
+    world, pairs = World.of(task), []
+    for each in inner_detectors(list_standard_detectors(get_task(task))):
+        what = world.setup.conditions, describe_identity(each), False
+        pairs += [(made, each) for made in load_stored(*what, SHIPPED_FOLDER)][:1]
+    made, detectors = zip(*pairs, strict=True)
+    asked: dict[str, Any] = {"false_alarms_per_hour": STANDARD_RATE, "progress": show_progress}
+    held = hold_out(world.setup, made, detectors, runs=runs, **asked)
+    rows = [
+        {**each.as_dict(), "name": specify_detector(detector).label, "calibrated": one.runs}
+        for one, each, detector in zip(made, held, detectors, strict=True)
+    ]
+    return {"task": task, "settings": world.setup.conditions.digest, "detectors": rows}
+
+
 def join_detectors(before: dict[str, Any], later: dict[str, Any]) -> dict[str, Any]:
     if before["settings"] != later["settings"]:
         raise SystemExit(f"{before['world']} has changed: count all of its detectors again")
@@ -130,8 +153,8 @@ def _mean(rows: list[dict[str, Any]], window_s: float) -> float:
 
 
 def shown(kept: dict[str, Any]) -> str:
-    page = render_page("holdouts.md.j2", worlds=kept["worlds"], table=_table, others=_others)
-    return fit_tables(page)
+    shapes = {"table": _table, "others": _others, "of_task": _tabulate_task}
+    return fit_tables(render_page("holdouts.md.j2", **kept, **shapes))
 
 
 def _table(world: dict[str, Any]) -> Table:
@@ -147,6 +170,21 @@ def _table(world: dict[str, Any]) -> Table:
         (f"with an alarm at {RARE_RATE:g} an hour (predicted)", rare, _format_count),
         ("alarm before it [%]", lambda row: f"{100 * row['early'] / row['runs']:.2g}"),
     )
+
+
+def _tabulate_task(world: dict[str, Any]) -> Table:
+    return Table(
+        ("detector", "name"),
+        ("calibrated on", "calibrated", "{:,}".format),
+        ("with an alarm (predicted)", _format_count),
+        ("per hour", lambda row: interval(_find_hourly(row))),
+        ("alarm before it [%]", lambda row: f"{100 * row['early'] / row['runs']:.2g}"),
+    )
+
+
+def _find_hourly(row: dict[str, Any]) -> dict[str, Any]:
+    share = wilson(row["alarms"], row["runs"])
+    return {end: hourly_rate(getattr(share, end), row["window_s"]) for end in share.as_json()}
 
 
 def _others(world: dict[str, Any]) -> Table:
@@ -172,9 +210,13 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=int, default=100_000, help="of passive detectors")
     parser.add_argument("--only", nargs="*", default=(), help="detectors to add to what is kept")
+    parser.add_argument("--task", choices=("S1",), help="count the suite of a task alone")
     parser.add_argument("--tables-only", action="store_true", help="count nothing")
     given = parser.parse_args(arguments)
-    if not given.tables_only:
+    if given.task:
+        kept = json.loads(DATA_FILE.read_text())
+        write_json(DATA_FILE, {**kept, "tasks": [count_task(given.task, given.runs)]})
+    elif not given.tables_only:
         worlds = [load_world(name, given.only) for name in HEADLINES]
         before = json.loads(DATA_FILE.read_text()) if given.only else {"cells": 0, "worlds": []}
         cells = before["cells"]
@@ -191,6 +233,7 @@ def main(arguments: list[str]) -> None:
             found = [join_detectors(*pair) for pair in zip(before["worlds"], found, strict=True)]
         cells = sum(1 + ("rare" in row) for world in found for row in world["detectors"])
         kept = {"rate": STANDARD_RATE, "split": "holdout", "cells": cells, "worlds": found}
+        kept["tasks"] = json.loads(DATA_FILE.read_text())["tasks"]
         write_json(DATA_FILE, kept)
     put_between(PAGE, START, END, shown(json.loads(DATA_FILE.read_text())))
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..runs.record import MEASURES, Aim, Protection, Winner
 from . import statistics
-from .exceeded import estimate_exceeded
+from .exceeded import estimate_exceeded, estimate_worst
 from .scores import SHARES, per_hour, select_clusters
 
 WINDOW, CLEAN = "clean, judged window", "clean"
@@ -47,10 +47,12 @@ class FamilyScore(NamedTuple):
 
     def estimate_quantile(self, share: float) -> statistics.Estimate:
         """What the worst attack exceeds in a share of the runs [m], with its 95 % interval."""
+        return estimate_exceeded(self.protection, Aim(MEASURES[0], share), self.draw_samples())
+
+    def draw_samples(self) -> statistics.FloatArray:
+        """Bootstrap samples (S, R') of the runs that count, by skies."""
         clusters = select_clusters(self.protection.sky)[self.protection.counts]
-        return estimate_exceeded(
-            self.protection, Aim(MEASURES[0], share), statistics.draw_resamples(clusters)
-        )
+        return statistics.draw_resamples(clusters)
 
     def resample_hmi(self) -> statistics.FloatArray:
         """(S,) probability of hazardously misleading information under attack, in each bootstrap
@@ -113,9 +115,10 @@ class DetectorScore:
         return self.worst.p_hmi
 
     def estimate_quantile(self, share: float) -> statistics.Estimate:
-        """Largest over the families of what is exceeded in a share of the runs [m]."""
-        found = [each.estimate_quantile(share) for each in self.families]
-        return max(found, key=lambda each: -math.inf if math.isnan(each.value) else each.value)
+        """What the worst attack of all families exceeds in a share of the runs [m], with its 95 %
+        interval, in every draw of which it is looked for again."""
+        parts = [(each.protection, each.draw_samples()) for each in self.families]
+        return estimate_worst(parts, Aim(MEASURES[0], share))
 
     def family(self, key: str) -> FamilyScore:
         for each in self.families:
