@@ -114,14 +114,10 @@ class SpooferScore:
         alarms = interval({k: _percent(v) for k, v in self.alarm_rate._asdict().items()}, 1)
         what = "" if self.value is None else f", {self.setting} {self.value:.4g}"
         over = "" if self.keeps_budget else f", over the budget of {100 * self.budget:g} %"
-        fitted = self.at_budget is not None  # on other runs than those of the alarms
-        at, other = (
-            (f" at exactly {100 * self.budget:g} % of alarms", "other ") if fitted else ("", "")
-        )
+        at = "" if self.at_budget is None else f" at exactly {100 * self.budget:g} % of alarms"
         return (
             f"{self.spoofer} ({self.knowledge}{what}) against {where}: "
-            f"{self.stealthy_displacement_m} m{at}, alarms {alarms} % of "
-            f"{self.counted} {other}runs{over}"
+            f"{self.stealthy_displacement_m} m{at}, alarms {alarms} % of {self.counted} runs{over}"
         )
 
 
