@@ -14,11 +14,12 @@ import os
 import tomllib
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
@@ -212,6 +213,40 @@ def read_table(path: Path, columns: Sequence[str] = (), *, header: bool = True) 
     found = [name for name in columns or file.schema.names if name in file.schema.names]
     check_table(file.metadata.num_rows, len(found))
     return file.read(columns=found).to_pandas()
+
+
+KINDS = {"number": "fiu", "whole number": "fiu", "text": "U"}
+"""Types of NumPy that a field of an array file may have, by the words for it."""
+
+
+def read_npz(path: Path, fields: Mapping[str, tuple[str, str]]) -> dict[str, NDArray[Any]]:
+    """Those of the `fields` that a .npz file has, as `check_arrays` has them."""
+    with Archive(path) as archive:
+        members = {name.removesuffix(".npy"): name for name in archive.namelist()}
+        found = {x: parse_array(archive.read(members[x])) for x in fields if x in members}
+    return check_arrays(found, fields)
+
+
+def check_arrays(
+    found: Mapping[str, NDArray[Any]], fields: Mapping[str, tuple[str, str]]
+) -> dict[str, NDArray[Any]]:
+    """Arrays of a file, each of its kind (`KINDS`) and with one of its numbers of axes, such as
+    "12"; no infinities, and whole numbers that are some."""
+    for name, array in found.items():
+        kind, axes = fields[name]
+        if array.dtype.kind not in KINDS[kind] or str(array.ndim) not in axes:
+            raise FileError(
+                f"`{name}` must hold {kind}s on {' or '.join(axes)} axes, got {array.dtype} on "
+                f"{array.ndim}"
+            )
+        if kind == "text" or array.dtype.kind != "f":
+            continue
+        bad = np.isinf(array)
+        if kind == "whole number":
+            bad |= (array != np.round(array)) | (np.abs(array) > 2**53)
+        if bad.any():
+            raise FileError(f"`{name}` must hold finite {kind}s, got {array[bad][0]:g}")
+    return dict(found)
 
 
 def parse_array(data: bytes) -> NDArray[Any]:

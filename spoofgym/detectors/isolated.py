@@ -37,6 +37,8 @@ PROGRAM = "spoofgym.detectors.isolated_child"
 ISOLATED = "spoofgym.detectors.isolated:Isolated"
 """Name of the class in specs."""
 WORDS = ("paper", "scope", "measures", "label")
+LONGEST_WORDS = 2000
+"""Characters of what a process says of a failure."""
 FLAGS = (
     *("oracle", "drifts", "calibrates", "draws", "alarm_is_state"),
     *("has_nominal", "from_start", "needs_model"),
@@ -146,7 +148,8 @@ def _ask(
         if answer[:1] == b"=":
             return answer[1:] if raw else json.loads(answer[1:])
         failure = json.loads(answer[1:])
-        error, row = f"raises {failure['error']}", failure.get("receiver")
+        words = "".join(x if x.isprintable() else " " for x in failure["error"][:LONGEST_WORDS])
+        error, row = f"raises {words}", failure.get("receiver")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         error = "gives no valid answer"
     row = row if type(row) is int else None

@@ -36,7 +36,7 @@ from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict, is_sound, judge_epoch
 from .build import bare_detector
 from .calibrated import describe_identity, name_kind
-from .isolated import FLAGS, WORDS
+from .isolated import FLAGS, LONGEST_WORDS, WORDS
 
 MEMORY = 8 << 30
 """Bytes that the process of a detector may have."""
@@ -154,7 +154,10 @@ class Server:
             if os.sep + "spoofgym" + os.sep not in each.filename
         ]
         line = f" ({os.path.basename(frames[-1].filename)}:{frames[-1].lineno})" if frames else ""
-        return {"error": f"{type(error).__name__}: {error}"[:2000] + line, "receiver": row}
+        return {
+            "error": f"{type(error).__name__}: {str(error)[: LONGEST_WORDS - 200]}{line}",
+            "receiver": row,
+        }
 
     def find_receiver(self, kind: type[Exception]) -> int | None:
         """The one receiver that makes the detector fail, as it is now; None where there is none."""

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from ..core.extras import name_extra
 from ..core.files import whole_file
-from ..core.reading import Archive, parse_array, parse_json, read_file, read_table
+from ..core.reading import check_arrays, parse_json, read_file, read_npz, read_table
 from ..core.registry import check_choice, require
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from .epoch import FILTER, OPTIONAL, Epoch
@@ -67,6 +67,7 @@ SECONDS_PER_WEEK = 604800.0
 FIRST_ORDER = "first order"
 """What `about` has for ``transition`` where a filter propagates so, but its errors do not."""
 MOST_CHANNELS = 128
+COVARIANCE_ERROR = 1e-3  # by which a covariance may be off, as numbers in files are rounded
 MOST_ELEMENTS = 2**27  # of all covariances, 1 GiB
 
 
@@ -171,6 +172,7 @@ class InnovationLog:
                 f"variances must be positive, got {variance[k, row]:g} at {self.time[k]:g} s of "
                 f"{self.channels[row % len(self.channels)]}"
             )
+        _check_covariance("innovation_cov", self.innovation_cov, present)
         sizes = {"m": m, "n": m // 2}
         there = [name for name in RANGES if name in self.more]
         require(
@@ -184,6 +186,9 @@ class InnovationLog:
             shape = (count, *(sizes[x] if x in sizes else int(x) for x in MORE[name]))
             require(array.shape == shape, f"`{name}` must have shape {shape}, got {array.shape}")
             require(np.isfinite(array).all(), f"`{name}` must be finite")
+        if "predicted_cov" in self.more:
+            P = self.more["predicted_cov"]
+            _check_covariance("predicted_cov", P, np.ones(P.shape[:2], dtype=np.bool_))
         for name in STATES:
             rows = getattr(self, name)
             require(
@@ -295,7 +300,7 @@ class InnovationLog:
             raise FileNotFoundError(f"there is no file {path}")
         try:
             if kind in (".npz", ".mat"):
-                return _build_log((_read_npz if kind == ".npz" else _read_mat)(path))
+                return _build_log(read_npz(path, WANTED) if kind == ".npz" else _read_mat(path))
             return cls.from_table(read_table(path, (*COLUMNS, "segment")))
         except (ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
             raise ValueError(f"{path}: {error}") from error
@@ -518,19 +523,35 @@ def _check_pair(signals: tuple[str, ...]) -> None:
     )
 
 
+def _check_covariance(name: str, S: FloatArray, there: NDArray[np.bool_]) -> None:
+    """It is symmetric, and no covariance is larger than its variances allow."""
+    variance = np.where(there, np.diagonal(S, axis1=1, axis2=2), 0.0)
+    require((variance >= 0.0).all(), f"`{name}` must have variances of at least 0")
+    sd = np.sqrt(variance)
+    size = sd[:, :, None] * sd[:, None, :]
+    sound = (np.abs(S) <= (1.0 + COVARIANCE_ERROR) * size) & (
+        np.abs(S - S.transpose(0, 2, 1)) <= COVARIANCE_ERROR * size
+    )
+    for k, i, j in np.argwhere(there[:, :, None] & there[:, None, :] & ~sound)[:1]:
+        raise ValueError(
+            f"`{name}` must be a covariance, got {S[k, i, j]:g} and {S[k, j, i]:g} in row {k + 1} "
+            f"between {i} and {j}, whose variances are {variance[k, i]:g} and {variance[k, j]:g}"
+        )
+
+
 def unroll_weeks(time: FloatArray) -> FloatArray:
     """Times that go on where seconds of a GPS week begin again [s]."""
     weeks = np.cumsum(np.diff(time, prepend=time[:1]) < -0.99 * SECONDS_PER_WEEK)
     return np.asarray(time + SECONDS_PER_WEEK * weeks)
 
 
-WANTED = (*MATRICES, *MORE, *STATES, "segment", "about")
-
-
-def _read_npz(path: Path) -> dict[str, NDArray[Any]]:
-    with Archive(path) as archive:
-        members = {name.removesuffix(".npy"): name for name in archive.namelist()}
-        return {x: parse_array(archive.read(members[x])) for x in WANTED if x in members}
+WANTED = {
+    **{"time": ("number", "1"), "innovation": ("number", "2"), "innovation_cov": ("number", "3")},
+    **dict.fromkeys(("channels", "signals"), ("text", "01")),
+    **{name: ("number", str(1 + len(axes))) for name, axes in MORE.items()},
+    **dict.fromkeys((*STATES, "segment"), ("whole number", "01")),
+    "about": ("text", "01"),
+}
 
 
 def _read_mat(path: Path) -> dict[str, NDArray[Any]]:
@@ -542,7 +563,7 @@ def _read_mat(path: Path) -> dict[str, NDArray[Any]]:
     try:
         sizes = {name: math.prod(shape) for name, shape, _ in whosmat(io.BytesIO(content))}
         require(sum(sizes.values()) <= MOST_ELEMENTS, "its arrays are too large")
-        found = loadmat(io.BytesIO(content), variable_names=WANTED)
+        found = loadmat(io.BytesIO(content), variable_names=[*WANTED])
     except NotImplementedError as error:
         raise ValueError("it is of version 7.3: save it with '-v7'") from error
     except Exception as error:  # of any kind, as damage has it
@@ -560,7 +581,7 @@ def _read_mat(path: Path) -> dict[str, NDArray[Any]]:
     for name, array in arrays.items():
         if array.ndim == 3 and array.shape[0] != count == array.shape[2]:
             arrays[name] = np.moveaxis(array, 2, 0)
-    return {name: array for name, array in arrays.items() if array.size}
+    return check_arrays({name: array for name, array in arrays.items() if array.size}, WANTED)
 
 
 def _build_log(found: Mapping[str, NDArray[Any]]) -> InnovationLog:

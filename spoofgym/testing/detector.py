@@ -58,7 +58,8 @@ def check_detector(detector: DetectorSpec, *, stationary: bool = False) -> None:
     - it cites a paper, states its scope and what it measures, and needs what an epoch can have;
     - it reads no optional field of an epoch that its `needs` does not name;
     - verdicts have the right shapes and types, and are finite; weights lie within 0 and 1; an
-      invisible channel has statistic 0, no alarm and weight 1;
+      invisible channel has statistic 0, no alarm and weight 1; there is an alarm where the
+      statistic exceeds the threshold, unless `alarm_is_state`;
     - it neither writes to an epoch nor keeps it, nor hands out arrays that it goes on using;
     - a receiver's verdicts don't depend on the batch that it is in, bit for bit;
     - there is no chance, and all that it remembers is in its `memory`, so that some receivers can
@@ -247,6 +248,7 @@ def _check_verdicts(trial: _DetectorTrial) -> None:
             raise AssertionError(f"on {trial.script.name}, {error}") from error
         _check_arrays(bound, verdict, own)
         _check_invisible(bound, trial.script, number, verdict)
+        _check_alarm(bound, trial.script, number, verdict)
         verdicts.append(verdict)
         copies.append(copy.deepcopy(verdict))
     for verdict, copied in zip(verdicts, copies, strict=True):
@@ -294,6 +296,24 @@ def _check_invisible(detector: Detector, script: Script, number: int, verdict: V
             bool((weights == 1.0).all()),
             f"{where} the weights of a channel that isn't visible must be 1, of pseudorange and "
             f"range rate, got {weights.min(initial=1.0):g}",
+        )
+
+
+def _check_alarm(detector: Detector, script: Script, number: int, verdict: Verdict) -> None:
+    """Calibrations and figures compare the statistic with the threshold themselves."""
+    if not detector.calibrates or detector.alarm_is_state:
+        return
+    statistic, threshold, alarm, _ = verdict
+    wrong = (alarm & (statistic < threshold)) | (~alarm & (statistic > threshold))
+    if number < detector.silent_epochs:
+        wrong &= alarm
+    for b, c in np.argwhere(wrong)[:1]:
+        require_contract(
+            False,
+            f"on {script.name}, in epoch {number}, `alarm` must be whether the "
+            f"statistic exceeds the threshold, got {alarm[b, c]} with {statistic[b, c]:g} and "
+            f"{threshold[b, c]:g}; `compare(statistic, threshold)` makes such a verdict, and "
+            "`alarm_is_state` is for flags that stay up",
         )
 
 

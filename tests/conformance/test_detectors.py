@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import DETECTORS, Detector, Verdict
+from spoofgym.detectors.base import compare
 from spoofgym.testing import check_detector
 from spoofgym.testing.epochs import COORDINATES, ZERO, position_script
 
@@ -342,15 +343,19 @@ CHANGES = {
         "an array at every epoch or None at every epoch",
     ),
     "an average": (
-        lambda d, e, v: v._replace(statistic=v.statistic + mean_over(e, v)),
+        lambda d, e, v: compare(v.statistic + mean_over(e, v), v.threshold),
         "must be the same, bit for bit, among 1 and among 5 receivers",
+    ),
+    "an alarm of its own": (
+        lambda d, e, v: v._replace(alarm=v.statistic < v.threshold),
+        "`alarm` must be whether the statistic exceeds the threshold, got True with",
     ),
     "global dice": (
         lambda d, e, v: v._replace(statistic=v.statistic + 0.0 * dice()),
         "uses the global random numbers",
     ),
     "dice": (
-        lambda d, e, v: v._replace(statistic=v.statistic * np.random.default_rng().random()),
+        lambda d, e, v: compare(v.statistic * np.random.default_rng().random(), v.threshold),
         "When all is done again, the detector must do the same",
     ),
 }

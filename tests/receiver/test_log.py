@@ -287,3 +287,32 @@ def test_the_command_checks_judges_and_converts(clean, tmp_path, monkeypatch):
     )
     assert "there is no file" in refused("log", "check", "none.csv")
     assert "valid: .csv, .npz" in refused("log", "import", "walk.csv", "-o", "walk.txt")
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "said"),
+    [
+        ("innovation", lambda x: x + 1j, "must hold numbers on 2 axes, got complex128 on 2"),
+        ("time", lambda x: x.astype(str), "must hold numbers on 1 axes, got <U"),
+        ("innovation", lambda x: np.where(x == x[5, 1], np.inf, x), "finite numbers, got inf"),
+        ("segment", lambda x: np.where(x == x[0], np.nan, 0.0), "finite whole numbers, got nan"),
+        ("segment", lambda x: x + 0.5, "must hold finite whole numbers, got 0.5"),
+        ("segment", lambda x: x + 1e18, r"must hold finite whole numbers, got 1e\+18"),
+        (
+            "innovation_cov",
+            lambda x: x + np.eye(6)[0],
+            "`innovation_cov` must be a covariance, got",
+        ),
+        (
+            "innovation_cov",
+            lambda x: x + 9.0 * (1.0 - np.eye(6)),
+            "must be a covariance, got 9 and",
+        ),
+    ],
+)
+def test_every_array_of_a_file_is_of_its_kind(clean, name, change, said, tmp_path):
+    clean.save(path := tmp_path / "log.npz")
+    arrays = dict(np.load(path))
+    np.savez(path, **{**arrays, name: change(arrays[name].astype(float))})
+    with pytest.raises(ValueError, match=rf"log\.npz.*{said}"):
+        InnovationLog.load(path)

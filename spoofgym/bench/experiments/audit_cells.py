@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 from ... import tasks
 from ...core.children import release_free_memory
 from ...core.files import check_writable, write_file
+from ...core.reading import name_file, read_json
 from ...core.registry import check_choice, slug, whole_number
 from ...core.settings import compute_digest, describe, outside_sources
 from ...detectors import detector_in_world
@@ -65,7 +66,8 @@ def choose_entropy(folder: Path | None, given: int | None) -> int:
         try:
             write_file(folder / ENTROPY, f"{drawn}\n".encode(), exclusive=True)
         except FileExistsError:  # another shard's, too
-            drawn = int((folder / ENTROPY).read_text())
+            with name_file(folder / ENTROPY):
+                drawn = whole_number("the entropy", read_json(folder / ENTROPY, object))
     return drawn
 
 
