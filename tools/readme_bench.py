@@ -63,21 +63,35 @@ def shown(world: dict[str, Any], residual: dict[str, Any], learned: dict[str, An
         *(
             (f"{title} [m]", lambda short, x=x: cells[names[short], x], _format_displacement)
             for x, title in SPOOFERS.items()
+            if not (policies and x == "feedback")
         ),
         *([learned_column] if policies else []),
         ("worst in half of the runs [m]", lambda x: headline(protections[x], 0.5), interval),
     )
     values = {"table": table.markdown(SHOWN), "over": OVER, "policies": policies}
     values["learned"] = [_describe_learned(*each) for each in residual["detectors"].items()]
-    values |= {"titles": SHOWN, "trained": [*learned["trained"].values()]}
+    values["gains"] = [_describe_gain(x, learned) for x in SHOWN if x in policies]
     values["whole"] = metres(cells["never", "ramp"]["stealthy_displacement_m"]["value"])
     return render_page("bench.md.j2", world=world, **values)
 
 
+def list_policies(learned: dict[str, Any]) -> list[dict[str, Any]]:
+    """Those that see the statistics."""
+    return [each for each in learned["policies"].values() if each["knowledge"] == "statistics"]
+
+
 def choose_policies(learned: dict[str, Any]) -> dict[str, Any]:
     """The scored policy of each detector, of several the one that was best on choice runs."""
-    ranked = sorted(learned["policies"].values(), key=lambda each: max(each["choice_m"]))
+    ranked = sorted(list_policies(learned), key=lambda each: max(each["choice_m"]))
     return {each["detector"]: each for each in ranked}
+
+
+def _describe_gain(detector: str, learned: dict[str, Any]) -> str:
+    """How far the shown policy gets over its base, and those of all seeds that were kept."""
+    seeds = [each["ratio"] for each in list_policies(learned) if each["detector"] == detector]
+    low, *_, high = sorted(each["value"] for each in [*seeds, seeds[0]])
+    ratio = interval(choose_policies(learned)[detector]["ratio"], 2)
+    return f"{SHOWN[detector]} {ratio} ({len(seeds)} seeds: {low:.2f} to {high:.2f})"
 
 
 def _describe_learned(detector: str, found: dict[str, Any]) -> str:

@@ -1,7 +1,7 @@
-"""The table on `docs/corrections.md`: ``python -m tools.residual_page runs/residual``.
+"""The tables on `docs/corrections.md`: ``python -m tools.residual_page runs/residual``.
 
 Takes the results of `train.residual_ppo` in a folder into `docs/residual.json`; what they lack
-stays as it is.  Without a folder it writes the table again.
+stays as it is.  Without a folder it writes the tables again, that of `train.suite_ppo`, too.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import Any
 
 from agents.folder import write_json
 from train.residual_ppo import build_table
+from train.suite_ppo import SCORES, tabulate
 
 from .pages import DOCS, fit_tables, marks, parse_folders, put_between
 
@@ -34,6 +35,7 @@ def main() -> None:
         kept = take(json.loads((folder / "results.json").read_text()), kept)
     write_json(DATA_FILE, kept)
     put_between(PAGE, *marks("residual"), fit_tables(f"{build_table(kept)}\n"))
+    put_between(PAGE, *marks("suite"), f"{tabulate(json.loads(SCORES.read_text()))}\n")
 
 
 if __name__ == "__main__":

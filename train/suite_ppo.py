@@ -23,6 +23,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ import numpy as np
 import spoofgym.export
 from agents.folder import Part, Records, error_lines, learning_versions, write_json
 from agents.learning import learn, run_training
+from agents.seeds import format_range
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.experiments.suite import list_standard_detectors
 from spoofgym.bench.report.table import Table, interval
@@ -46,6 +48,7 @@ from spoofgym.policies import SpooferCard
 from spoofgym.tasks import get_task
 
 from .residual_ppo import (
+    KNOWLEDGE,
     OPEN_LOOP,
     correct_nothing,
     freeze,
@@ -55,7 +58,7 @@ from .residual_ppo import (
     scale_rates,
 )
 
-TASK, STATISTICS = "S1", "statistics"
+TASK, (BLIND, STATISTICS) = "S1", KNOWLEDGE
 WORLD = get_task(TASK).world_kwargs
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED, SCORES = ROOT / "agents" / "s1", ROOT / "docs" / "learned.json"
@@ -82,12 +85,19 @@ the episodes alarm than by the base alone.  Where all of them alarm a learner le
 and nothing of what pays."""
 
 
+HEAD = (
+    *("detector", "sees", "over its base on choice runs, each seed", "base [m]"),
+    *("PPO, median and range of the seeds beyond it [m]", "over its base, each of these"),
+)
+
+
 @dataclass(frozen=True)
 class Settings:
     """What is trained."""
 
     out: Path = Path("runs/suite")  # Folder of the results.
     detectors: tuple[str, ...] = tuple(CASES)  # Of the README's table.
+    knowledge: str = STATISTICS  # What corrections are of: statistics, an oracle's, or blind.
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)  # One training each.
     steps: int = 600_000  # Decisions of all receivers together.
     checkpoints: int = 4  # Of a training, of which one or the base is taken.
@@ -100,6 +110,7 @@ class Settings:
     def __post_init__(self) -> None:
         for name in self.detectors:
             check_choice("detector", name, CASES)
+        check_choice("knowledge", self.knowledge, KNOWLEDGE)
 
 
 @cache
@@ -145,8 +156,8 @@ def find_price(curve: AlarmCurve) -> float:
     raise ValueError(f"no amplitude below the budget's gets less far: {reached} m at {alarms}")
 
 
-def set_env(label: str, spec: dict[str, Any]) -> dict[str, Any]:
-    env = make_env(OPEN_LOOP, spec, STATISTICS)
+def set_env(label: str, spec: dict[str, Any], knowledge: str = STATISTICS) -> dict[str, Any]:
+    env = make_env(OPEN_LOOP, spec, knowledge)
     return {**WORLD, "detector": list_specs()[label], **env}
 
 
@@ -179,7 +190,8 @@ def explore(own: dict[str, Any], log_std: float | None) -> float:
 def train(settings: Settings, case: str, base: dict[str, Any], seed: int) -> dict[str, Any]:
     """One training; the checkpoint that gets farthest on the choice runs goes to a file."""
     label, _ = CASES[case]
-    own, how = set_env(label, base["spec"]), {"log_std": base["log_std"], **LEARN, **EXPLORE}
+    own = set_env(label, base["spec"], settings.knowledge)
+    how = {"log_std": base["log_std"], **LEARN, **EXPLORE}
     model = make_model(own, base["price_m"], seed, settings.num_envs, **how)
     judge, reached = make_judge(label, settings.choice_runs, CHOICE), [base["choice_m"]]
     states, why, began = [], None, time.process_time()
@@ -192,6 +204,7 @@ def train(settings: Settings, case: str, base: dict[str, Any], seed: int) -> dic
     best = int(np.argmax(reached))
     row: dict[str, Any] = {
         "case": case,
+        "knowledge": settings.knowledge,
         "seed": seed,
         "price_m": base["price_m"],
         "log_std": base["log_std"],
@@ -202,12 +215,17 @@ def train(settings: Settings, case: str, base: dict[str, Any], seed: int) -> dic
     if best:
         weights, model.get_vec_normalize_env().obs_rms = states[best - 1]
         model.policy.load_state_dict(weights)
-        row["file"] = f"{TASK.lower()}-{case}-{seed}.onnx"
+        row["file"] = f"{TASK.lower()}-{name_training(settings, case, seed, '-')}.onnx"
         SHIPPED.mkdir(exist_ok=True)
         origin = {**row, "decided_on": [[CHOICE, "evaluation"]]}
         spoofgym.export.onnx(model, model.get_env(), SHIPPED / row["file"], training=origin)
     model.get_env().close()
     return row
+
+
+def name_training(settings: Settings, case: str, seed: int, between: str) -> str:
+    blind = (BLIND,) if settings.knowledge == BLIND else ()
+    return between.join((case, *blind, str(seed)))
 
 
 def score_policy(path: Path, runs: int) -> dict[str, Any]:
@@ -218,7 +236,8 @@ def score_policy(path: Path, runs: int) -> dict[str, Any]:
     judge = make_judge(label, runs, FINAL)
     kept, base = judge.fit(str(path)), judge.fit(correct_nothing(OPEN_LOOP, term["spoofer"]))
     ratio = ratio_at_budget(kept.trace, base.trace, BUDGET).as_json()
-    origin = {name: card.training[name] for name in ("seed", "price_m", "steps", "choice_m")}
+    kept_of_card = ("knowledge", "seed", "price_m", "steps", "choice_m")
+    origin = {name: card.training[name] for name in kept_of_card}
     scores = {"score": kept.at_budget, "base": base.at_budget, "ratio": ratio}
     return {"detector": label, "file": path.name, **origin, **scores, "amplitude": kept.value}
 
@@ -234,7 +253,8 @@ def list_parts(settings: Settings) -> dict[str, Part]:
         parts[base] = Part({"choice_runs": settings.choice_runs}, find)
         for seed in settings.seeds:
             make = lambda done, _, x=case, b=base, k=seed: train(settings, x, done[b], k)  # noqa: E731
-            parts[f"{case} {seed}"] = Part(sizes, make, after=(base,))
+            name = name_training(settings, case, seed, " ")
+            parts[name] = Part(sizes, make, after=(base,))
     return parts
 
 
@@ -272,6 +292,27 @@ def build_table(results: dict[str, Any]) -> str:
     return Table.of_texts("policy", "score [m]", "base [m]", "over its base, or taken").markdown(
         lines
     )
+
+
+def tabulate(kept: dict[str, Any]) -> str:
+    """A line of Markdown for each detector, of what is kept in docs/learned.json."""
+    lines = []
+    for (case, (label, _)), sees in product(CASES.items(), reversed(KNOWLEDGE)):
+        rows = [each for each in kept["trained"].values() if each["knowledge"] == sees]
+        trained = [each for each in rows if each["case"] == case]
+        if trained:
+            chosen = [max(each["choice_m"]) / each["choice_m"][0] for each in trained]
+            rows = [each for each in kept["policies"].values() if each["knowledge"] == sees]
+            scored = [each for each in rows if each["detector"] == label]
+            scored.sort(key=lambda each: each["seed"])
+            reached = [get_metres(each["score"]) for each in scored]
+            lines.append((
+                *(f"`{label}`", sees, ", ".join(f"{each:.2f}" for each in chosen)),
+                interval(scored[0]["base"][MEASURES[0]]) if scored else "-",
+                format_range(reached) if reached else "-",
+                "; ".join(interval(each["ratio"], 2) for each in scored) or "-",
+            ))  # fmt: skip
+    return Table.of_texts(*HEAD).markdown(lines)
 
 
 def list_plan(settings: Settings) -> Iterator[str]:

@@ -103,7 +103,10 @@ def test_the_table_of_corrections_is_that_of_the_kept_results_to_which_rows_are_
         pytest.importorskip(name)
     from tools.residual_page import DATA_FILE, PAGE, take
     from train.residual_ppo import build_table
+    from train.suite_ppo import SCORES, tabulate
 
+    suite = tabulate(json.loads(SCORES.read_text()))
+    assert part_between(PAGE.read_text(), *marks("suite")) == f"\n{suite}\n"
     kept = json.loads(DATA_FILE.read_text())
     assert part_between(PAGE.read_text(), *marks("residual")) == fit_tables(
         f"\n{build_table(kept)}\n"
