@@ -1,7 +1,8 @@
-"""The tables on `docs/corrections.md`: ``python -m tools.residual_page runs/residual``.
+"""The table on `docs/corrections.md`: ``python -m tools.residual_page runs/residual``.
 
 Takes the results of `train.residual_ppo` in a folder into `docs/residual.json`; what they lack
-stays as it is.  Without a folder it writes the tables again, that of `train.suite_ppo`, too.
+stays as it is.  Without a folder it writes the table again, and that of `docs/learned_suite.md`
+from what `train.suite_ppo` keeps.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from train.suite_ppo import SCORES, tabulate
 from .pages import DOCS, fit_tables, marks, parse_folders, put_between
 
 PAGE, DATA_FILE = DOCS / "corrections.md", DOCS / "residual.json"
+SUITE = DOCS / "learned_suite.md"
 
 
 def take(results: dict[str, Any], kept: dict[str, Any]) -> dict[str, Any]:
@@ -35,7 +37,7 @@ def main() -> None:
         kept = take(json.loads((folder / "results.json").read_text()), kept)
     write_json(DATA_FILE, kept)
     put_between(PAGE, *marks("residual"), fit_tables(f"{build_table(kept)}\n"))
-    put_between(PAGE, *marks("suite"), f"{tabulate(json.loads(SCORES.read_text()))}\n")
+    put_between(SUITE, *marks("suite"), f"{tabulate(json.loads(SCORES.read_text()))}\n")
 
 
 if __name__ == "__main__":
