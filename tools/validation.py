@@ -73,9 +73,12 @@ def build_tables() -> str:
     return "\n\n".join([
         Table.of_texts("capability", "validated against", "figure", "test").markdown(rows),
         f"**False alarms** of the shipped calibrations, {rates['cells']} cells on fresh runs: "
-        f"asked {rates['rate']:g} an hour, measured {', '.join(measured)} in the means of worlds, "
-        "passive detectors ([calibration](calibration.md)).",
-        "**Papers.** Rows whose printed value and ours are both none or both all are left out.",
+        f"asked {rates['rate']:g} an hour, measured {', '.join(measured)} in the means of three "
+        "worlds, passive detectors ([which, and the suite's world]"
+        "(calibration_worlds.md#do-those-that-are-shipped-hold)).",
+        "**Papers.** Left out are rows that agree by construction, where the printed value and ours "
+        "are both none or both all. Some bands are our choice, the second program is unpublished "
+        "([papers](papers.md)).",
         papers,
         "## Modelled only",
         Table.of_texts("capability", "why").markdown(modelled) + "\n",
