@@ -97,23 +97,35 @@ def list_elements(name: str) -> list[list[str]]:
 
 def list_bases() -> dict[str, tuple[int, int]]:
     """Elements of action and blind observation in the papers' world, by the basis of offsets."""
-    world = {"scenario": "zhong2025", "receiver": None, "timeline": None, "domain": None}
+    world: dict[str, Any] = {
+        "scenario": "zhong2025",
+        "receiver": None,
+        "timeline": None,
+        "domain": None,
+    }
     found = {}
     for basis in BASES:
         same = {"basis": basis, "knowledge": "blind", "detector": "never"}
-        env = gym.make("spoofgym/Offsets-v0", **world, **same)
+        env: Any = gym.make("spoofgym/Offsets-v0", **world, **same)
         found[basis] = env.action_space.shape[0], env.observation_space.shape[0]
     return found
 
 
 def build_spoofer_page(name: str) -> str:
     env: Any = gym.make(f"spoofgym/{name}-v0", detector="never").unwrapped
-    tables, sizes = {}, {}
+    tables: dict[str, str] = {}
+    sizes: dict[str, int] = {}
     for key, group in groupby(list_elements(name), key=lambda row: row[-1]):
         rows = [row[:-1] for row in group]
         tables[key] = Table.of_texts(*HEAD).markdown(rows)
         sizes[key] = int(rows[-1][0].rpartition("-")[2]) + 1
-    values = {"key": name, "env": env, "setup": env.core.setup, "tables": tables, "sizes": sizes}
+    values: dict[str, Any] = {
+        "key": name,
+        "env": env,
+        "setup": env.core.setup,
+        "tables": tables,
+        "sizes": sizes,
+    }
     values["bases"] = list_bases() if name == "Offsets" else {}
     values |= {"price": ALARM_PRICE, "settings": gym.spec(f"spoofgym/{name}-v0").kwargs}
     return render_page("environment.md.j2", **values, summary=IDS[name])
