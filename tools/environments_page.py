@@ -14,6 +14,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from spoofgym.attacks.offsets import BASES
 from spoofgym.bench.report.table import Table
 from spoofgym.core.declared import list_declarations
 from spoofgym.core.files import write_file
@@ -22,7 +23,6 @@ from spoofgym.envs.core import ALARM_PRICE
 from spoofgym.envs.rendering import save_animation
 from spoofgym.envs.terms.action import CommandMap, default_action
 from spoofgym.envs.terms.observation import default_terms
-from spoofgym.simulation.setup import Setup
 from tools.pages import DOCS, render_page
 
 FOLDER = DOCS / "environments"
@@ -54,8 +54,11 @@ def read_table(kind: type[Any]) -> list[list[str]]:
     return [re.split(r" {2,}", row.strip()) for row in parts[2].strip().splitlines()]
 
 
-def find_unit(name: str, term: Any, setup: Setup) -> tuple[str, float]:
+def find_unit(name: str, term: Any, setup: Any) -> tuple[str, float]:
     """Unit of an element, and what is observed as 1."""
+    if re.match(r"own_(offset|rate)_slot", name):
+        rate_mps = setup.attack.unit_rates(setup.world)[0]
+        return ("m/s", rate_mps) if "rate" in name else ("m", rate_mps * setup.attack.span_s)
     for word, scale in {"time": setup.steps * setup.interval_s, "report_age": 1.0}.items():
         if name.startswith(word):
             return "s", scale
@@ -63,6 +66,13 @@ def find_unit(name: str, term: Any, setup: Setup) -> tuple[str, float]:
     if not found:
         return "1", 1.0
     return list_declarations(type(term))[found[0]][0].unit, getattr(term, found[0])
+
+
+def name_group(name: str) -> str:
+    """What elements that slots have alike share; nothing of those without a slot."""
+    if "slot" not in name:
+        return ""
+    return name.partition("_slot")[0] if name.startswith("own") else name.partition("_")[0]
 
 
 def list_elements(name: str) -> list[list[str]]:
@@ -73,7 +83,7 @@ def list_elements(name: str) -> list[list[str]]:
     along = CommandMap(default_action(setup), setup).along_target
     rows, first = [], 0
     for term in default_terms(setup, "oracle+reported", along_target=along):
-        for key, group in groupby(term.names(setup), lambda n: n.split("_")[0] * ("slot" in n)):
+        for key, group in groupby(term.names(setup), name_group):
             names = list(group)
             for part in [names] if key else [[each] for each in names]:
                 words = dict.fromkeys(re.sub(r"slot\d+", "slotJJ", each) for each in part)
@@ -85,14 +95,38 @@ def list_elements(name: str) -> list[list[str]]:
     return rows
 
 
+def list_bases() -> dict[str, tuple[int, int]]:
+    """Elements of action and blind observation in the papers' world, by the basis of offsets."""
+    world: dict[str, Any] = {
+        "scenario": "zhong2025",
+        "receiver": None,
+        "timeline": None,
+        "domain": None,
+    }
+    found = {}
+    for basis in BASES:
+        same = {"basis": basis, "knowledge": "blind", "detector": "never"}
+        env: Any = gym.make("spoofgym/Offsets-v0", **world, **same)
+        found[basis] = env.action_space.shape[0], env.observation_space.shape[0]
+    return found
+
+
 def build_spoofer_page(name: str) -> str:
     env: Any = gym.make(f"spoofgym/{name}-v0", detector="never").unwrapped
-    seen = "TightlyCoupled" if name == "Offsets" else name
-    found = groupby(list_elements(seen), key=lambda row: row[-1])
-    tables = {key: Table.of_texts(*HEAD).markdown(row[:-1] for row in rows) for key, rows in found}
-    if name == "Offsets":  # whose own commands are others
-        del tables["blind"]
-    values = {"key": name, "env": env, "setup": env.core.setup, "tables": tables}
+    tables: dict[str, str] = {}
+    sizes: dict[str, int] = {}
+    for key, group in groupby(list_elements(name), key=lambda row: row[-1]):
+        rows = [row[:-1] for row in group]
+        tables[key] = Table.of_texts(*HEAD).markdown(rows)
+        sizes[key] = int(rows[-1][0].rpartition("-")[2]) + 1
+    values: dict[str, Any] = {
+        "key": name,
+        "env": env,
+        "setup": env.core.setup,
+        "tables": tables,
+        "sizes": sizes,
+    }
+    values["bases"] = list_bases() if name == "Offsets" else {}
     values |= {"price": ALARM_PRICE, "settings": gym.spec(f"spoofgym/{name}-v0").kwargs}
     return render_page("environment.md.j2", **values, summary=IDS[name])
 

@@ -35,7 +35,9 @@ def figure_class() -> type[Figure]:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise ImportError("pictures need matplotlib: pip install spoofgym[report]") from error
+        raise ImportError(
+            "pictures need matplotlib: pip install 'spoofgym[report]', or '.[report]' in a checkout"
+        ) from error
     return Figure
 
 

@@ -176,7 +176,10 @@ def read_track(
     with the file."""
     path = Path(path)
     if find_spec("pandas") is None:
-        raise ImportError("reading tracks needs pandas and pyarrow: pip install spoofgym[flights]")
+        raise ImportError(
+            "reading tracks needs pandas and pyarrow: pip install 'spoofgym[flights]', or "
+            "'.[flights]' in a checkout"
+        )
     kind = path.name.removesuffix(".gz").rsplit(".", 1)[-1].lower()
     require(
         kind in {"csv", "json", "jsonl", "ndjson", "parquet", "pq"},

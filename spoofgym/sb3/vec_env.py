@@ -80,7 +80,9 @@ class SpoofVecEnv(VecEnv):
     infos : {"none", "all"} or sequence of str
         Which information of every step is handed out, by its keys, such as ``["cost"]``.
     **settings
-        As in the environment, such as `SpoofEnv`.
+        As in the environment, such as `SpoofEnv`.  The defaults shown are those of that class, and
+        so of ``spoofgym/Zhong2025-v0``; an id or a task has settings of its own above them, which
+        ``spoofgym list ID`` prints.
 
     Attributes
     ----------

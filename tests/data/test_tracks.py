@@ -221,7 +221,7 @@ def test_an_empty_or_unknown_file_is_refused_and_pandas_asked_for(tmp_path, monk
         with pytest.raises(ValueError, match=said):
             read_track(tmp_path / name)
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match=r"pip install spoofgym\[flights\]"):
+    with pytest.raises(ImportError, match=r"pip install 'spoofgym\[flights\]'"):
         read_track("any.csv")
 
 

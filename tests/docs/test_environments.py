@@ -18,7 +18,9 @@ def test_a_page_is_that_of_its_environment(name):
     assert page == build_spoofer_page(name)
     env = gym.make(f"spoofgym/{name}-v0", knowledge="oracle+reported").unwrapped
     *_, last = re.findall(r"^[|] (?:\d+-)?(\d+) [|]", page, flags=re.MULTILINE)
-    assert name == "Offsets" or int(last) == len(env.observation_names) - 1
+    blind, tracking, oracle, every = re.findall(r"(\d+) elements", page)[:4]
+    assert int(last) + 1 == int(every) == len(env.observation_names)
+    assert f" | {blind} ({tracking}, {oracle}): " in text_of("environments.md")
 
 
 def test_the_detector_has_a_page_and_every_id_is_in_the_index():

@@ -22,8 +22,10 @@ from ..search.amplitude import EXACT, UPPER_LIMIT, Tuning, TuningResult, search_
 from ..search.bounds import DisplacementBounds
 from ..search.open_loop import Optima, fit
 
-RUNS, FIT_RUNS = 400, 128
-"""Evaluation runs and training runs by default."""
+RUNS = 400
+"""Evaluation runs by default."""
+FIT_RUNS = 128
+"""Training runs by default, on which amplitudes are fitted."""
 SIFTED = 16
 """Share of the training runs that sift the amplitudes, as one in so many."""
 
@@ -236,10 +238,12 @@ def evaluate(
         Shows how far it is; by default a bar does where stderr is a terminal.
     **world
         Without a task: ``detector``, ``env``, the id of an environment, and what differs from its
-        settings, such as ``scenario``, ``receiver``, ``attack``, ``timeline`` and ``domain``.  With
-        none of them but the detector it is the world that the model was trained in, as its
-        environment or its card says, and for a scripted spoofer ``spoofgym/TightlyCoupled-v0``.
-        With a ``scenario`` all else has the defaults of the victim.
+        settings, such as ``scenario``, ``receiver``, ``attack``, ``timeline`` and ``domain``; all
+        others, such as ``basis``, are a mapping ``settings``, in which None replaces a setting of
+        the id by the victim's default.  With none of them but the detector it is the world that
+        the model was trained in, as its environment or its card says, and for a scripted spoofer
+        ``spoofgym/TightlyCoupled-v0``.  With a ``scenario`` and no ``env`` all else has the
+        defaults of the victim.
 
     Returns
     -------

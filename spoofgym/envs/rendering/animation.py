@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.declared import check_number
+from ...core.extras import name_extra
 from ...core.files import whole_file
 from ...core.registry import check_choice
 
@@ -61,8 +62,7 @@ def _import_pillow() -> Any:
     try:
         from PIL import Image
     except ImportError as error:
-        text = "a GIF or WebP needs Pillow: pip install spoofgym[report]"
-        raise ImportError(text) from error
+        raise name_extra("a GIF or WebP", error, "report") from error
     return Image
 
 
@@ -88,9 +88,7 @@ def ffmpeg_program() -> str:
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError as error:
-        raise ImportError(
-            "an MP4 needs FFmpeg: pip install spoofgym[video], or write a .gif"
-        ) from error
+        raise name_extra("an MP4 without FFmpeg on the path", error, "video") from error
     return str(get_ffmpeg_exe())
 
 
