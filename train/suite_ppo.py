@@ -45,15 +45,14 @@ from spoofgym.core.progress import ProgressBar
 from spoofgym.core.registry import check_choice
 from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.policies import SpooferCard
+from spoofgym.spoofers.learned import ModelPolicy
 from spoofgym.tasks import get_task
 
 from .residual_ppo import (
     KNOWLEDGE,
     OPEN_LOOP,
-    correct_nothing,
     freeze,
     get_metres,
-    make_env,
     make_model,
     scale_rates,
 )
@@ -136,7 +135,7 @@ def find_base(label: str, choice_runs: int) -> dict[str, Any]:
         if cell["detector"] == label and cell["spoofer"] == OPEN_LOOP
     )
     spec = {"name": OPEN_LOOP, "rates_mps": found}
-    fit = make_judge(label, choice_runs, CHOICE).fit(correct_nothing(OPEN_LOOP, spec))
+    fit = make_judge(label, choice_runs, CHOICE).fit(correct_nothing(spec))
     found = scale_rates(spec, fit.value)
     price_m = find_price(fit.trace)
     reached = {"choice_m": get_metres(fit.at_budget), "price_m": round(price_m, 1)}
@@ -156,9 +155,20 @@ def find_price(curve: AlarmCurve) -> float:
     raise ValueError(f"no amplitude below the budget's gets less far: {reached} m at {alarms}")
 
 
+def make_env(spec: dict[str, Any], knowledge: str) -> dict[str, Any]:
+    """Corrections of the command that the searched attack gives, its acceleration: a base that is
+    played by wanted rates turns at every decision, and gets less far."""
+    action = {"name": "residual", "spoofer": spec, "action": [{"name": "along-target"}]}
+    return {"knowledge": KNOWLEDGE[knowledge], "action": action}
+
+
 def set_env(label: str, spec: dict[str, Any], knowledge: str = STATISTICS) -> dict[str, Any]:
-    env = make_env(OPEN_LOOP, spec, knowledge)
-    return {**WORLD, "detector": list_specs()[label], **env}
+    return {**WORLD, "detector": list_specs()[label], **make_env(spec, knowledge)}
+
+
+def correct_nothing(spec: dict[str, Any]) -> ModelPolicy:
+    nothing = lambda seen: np.zeros((len(seen), 1))  # noqa: E731
+    return ModelPolicy(nothing, label=OPEN_LOOP, **make_env(spec, BLIND))
 
 
 def find_spread(label: str, spec: dict[str, Any]) -> dict[str, Any]:
@@ -234,7 +244,7 @@ def score_policy(path: Path, runs: int) -> dict[str, Any]:
     label = specify_detector(card.env_kwargs["detector"]).label
     (term,) = (each for each in card.env_kwargs["action"] if each["name"] == "residual")
     judge = make_judge(label, runs, FINAL)
-    kept, base = judge.fit(str(path)), judge.fit(correct_nothing(OPEN_LOOP, term["spoofer"]))
+    kept, base = judge.fit(str(path)), judge.fit(correct_nothing(term["spoofer"]))
     ratio = ratio_at_budget(kept.trace, base.trace, BUDGET).as_json()
     kept_of_card = ("knowledge", "seed", "price_m", "steps", "choice_m")
     origin = {name: card.training[name] for name in kept_of_card}
