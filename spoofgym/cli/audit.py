@@ -32,10 +32,14 @@ class AuditOptions:
     budget: str | None = Option(
         None,
         help="Size of all that is played: quick, standard or full, some 1, 3 or 12 minutes of "
-        "a processor for a plain detector in D1. Default: standard; quick with --check.",
+        "a processor for a plain detector in D1; longer for a class of your own, in a process of "
+        "its own, whose calibration comes first, once, in some 13 minutes. Default: standard; "
+        "quick with --check.",
     )
     family: list[str] | None = Option(
-        None, help="Family of attacks, may be repeated. Default: all of the task."
+        None,
+        help="Family of attacks, may be repeated; `spoofgym list D1 --json` names those of D1. "
+        "Default: all of the task.",
     )
     runs: int | None = Option(
         None,

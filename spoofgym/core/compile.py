@@ -201,8 +201,8 @@ COLLECT_AFTER = 50_000, 20, 1000  # objects, and collections of the younger ones
 WAIT_S = 100.0  # for another process that compiles the same; the longest take a minute
 NOTICE_S = 2.0
 NOTICE = (
-    "spoofgym: compiling {} for this machine, once; about a minute, of which `spoofgym warmup` "
-    "spares every later process"
+    "spoofgym: compiling {} for this machine; what a first run compiles takes about a minute and "
+    "is kept (`spoofgym warmup` does it beforehand)"
 )
 
 

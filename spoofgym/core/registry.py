@@ -8,7 +8,9 @@ import difflib
 import importlib
 import inspect
 import numbers
+import os
 import re
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from typing import Any, TypeVar, cast
@@ -220,15 +222,19 @@ def describe_error(error: Exception) -> str:
     return str(error) if plain else f"{type(error).__name__}: {error}"
 
 
-def load_class(path: str, base: Callable[..., T]) -> type[T]:
+def load_class(path: str, base: Callable[..., T], names: Iterable[str] = ()) -> type[T]:
+    """Class from ``module:Class``; `names`: those that have settings of their own."""
+    if "=" in path:
+        raise ValueError(f"{path!r} is no name; write a mapping: {parse_spec(path)!r}")
     kind = cast("type[T]", base)  # abstract, which type[T] does not allow for
     module_name, _, name = path.partition(":")
     try:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
-        raise ValueError(
-            f"there is no module {error.name!r} for {path!r}; a setting is written `{path}=...`"
-        ) from error
+        hint = f"Python looked in {os.path.abspath(sys.path[0])} and the rest of `sys.path`"
+        if module_name in {*names}:
+            hint = f"a setting is written `{path}=...`"
+        raise ValueError(f"there is no module {error.name!r} for {path!r}; {hint}") from error
     except Exception as error:  # of any kind, since it is another's code
         raise ValueError(
             f"the module of {path!r} raises {type(error).__name__} when it is imported: {error}"
@@ -259,7 +265,7 @@ def make(
     if isinstance(name, str) and ":" in name:
         settings = dict(spec)
         refuse_pickle(name)
-        kind = load_class(settings.pop("name"), base)
+        kind = load_class(settings.pop("name"), base, [*kinds, *more])
         try:
             return kind(**settings)
         except (TypeError, LookupError, AttributeError) as error:

@@ -192,9 +192,8 @@ class Detector(ABC):
     memory: Memory
     judged_rows: NDArray[np.intp] | None = None
 
-    @abstractmethod
     def bind(self, context: DetectorContext) -> None:
-        """Prepare for a batch of receivers; call ``super().bind(context)`` first.
+        """Prepare for a batch of receivers; one that remembers calls this first, then declares.
 
         Parameters
         ----------

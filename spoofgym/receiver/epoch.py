@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.lanes import LaneFields
+from ..core.registry import suggest_name
 from ..core.simd import ArrayTable
 from ..truth.sensors import SensorBuffers
 from .states import INDEX, PACKED, STATES
@@ -201,7 +202,7 @@ class Epoch(NamedTuple):
     time, interval : ndarray
         (B,) time of the epoch and time since the last one [s].
     innovation : ndarray
-        (B, m) [m], [m/s].
+        (B, m) z, measured minus predicted [m], [m/s].
     innovation_variance : ndarray
         (B, m) what the filter believes the variance of each innovation to be, the diagonal of S;
         1 where a slot is invisible.
@@ -212,12 +213,15 @@ class Epoch(NamedTuple):
     innovation_cov : ndarray or None
         (B, m, m) S.
     predicted_cov : ndarray or None
-        (B, s, s) P before the update; 17 states where the receiver is tightly coupled, and after
-        them those of `receiver.augmented` where it is tuned so.
+        (B, s, s) P before the update, of the s errors x of the prediction.  A tightly coupled
+        receiver has 17, and after them those of `receiver.augmented` where it is tuned so: attitude
+        [rad], velocity [m/s], position [m] (ECEF axes, estimate minus truth), biases of
+        accelerometers [m/s^2] and gyros [rad/s] (body axes), clock bias [m] and drift [m/s] (truth
+        minus estimate).
     design : ndarray or None
-        (B, m, s) H.
+        (B, m, s) H, by which these errors shift the innovation: z = H x + noise.
     transition : ndarray or None
-        (B, s, s) Phi.
+        (B, s, s) Phi: x = Phi x + noise from the last update to this prediction.
     imu_delta : ndarray or None
         (B, 6) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval, body axes.
     pseudorange, range_rate : ndarray or None
@@ -275,6 +279,10 @@ class TracedEpoch(Epoch):
         if name in OPTIONAL:
             self.read_fields.add(name)
         return super().__getattribute__(name)
+
+    def __getattr__(self, name: str) -> NoReturn:
+        valid, hint = ", ".join(Epoch._fields), suggest_name(name, Epoch._fields)
+        raise AttributeError(f"an `Epoch` has no {name!r}; valid: {valid}{hint}")
 
     def _replace(self, /, **changed: Any) -> TracedEpoch:
         other = super()._replace(**changed)

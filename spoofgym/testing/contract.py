@@ -225,9 +225,10 @@ def _check_batches(trial: ContractTrial[T], records: Sequence[Record]) -> None:
             records,
             trial.play(trial.bind(rows), rows, range(trial.turns)),
             f"For the {trial.word}, a receiver must be the same, bit for bit, among {len(rows)} "
-            f"and among {trial.receivers} receivers: keep receivers apart, keep arrays "
+            f"and among {trial.receivers} receivers. Likely causes: receivers that mix, or state "
+            f"outside `memory` ({KEEP}); or sums whose order depends on the batch (keep arrays "
             "C-contiguous with the receivers first, and write sums out instead of matrix products "
-            "or `optimize=True`, whose bits depend on the size.",
+            "or `optimize=True`).",
             rows,
         )
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 import itertools
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from ..detectors import Detector, Verdict
 from ..detectors.base import UndeclaredFieldError, check_needs, check_verdict, describe_undeclared
 from ..detectors.build import DetectorSpec, bare_detector
-from ..detectors.isolated import Isolated, is_foreign
+from ..detectors.isolated import Isolated, IsolationError, is_foreign
 from ..policies.card import DetectorCard
 from ..receiver.epoch import Epoch, TracedEpoch
 from .ages import can_fly, check_ages, check_stationary
@@ -48,7 +49,7 @@ UNDECLARED_EPOCHS = 2
 
 
 def check_detector(detector: DetectorSpec, *, stationary: bool = False) -> None:
-    """Check that a detector keeps its contract.
+    """Check that a detector keeps its contract: silent, returning None, when all holds.
 
     It is bound, fed with epochs of a run of the default scenario and with made-up ones (satellites
     that come and go, or none at all; unequal intervals; no innovation, and a huge one); where it
@@ -80,7 +81,7 @@ def check_detector(detector: DetectorSpec, *, stationary: bool = False) -> None:
     Raises
     ------
     AssertionError
-        Says what was expected, what came, and how to mend it.
+        Says what was expected, what came, and how to mend it; or where `judge` failed or warned.
 
     Examples
     --------
@@ -168,7 +169,11 @@ class _DetectorTrial(ContractTrial[Detector]):
         seen = {name: array.view() for name, array in own.items()}
         for view in seen.values():
             view.flags.writeable = False
-        with explain_read_only("detector", "epoch"):
+        where = f"in epoch {number} of {self.script.name}"
+        with (
+            _name_failure(bound, where, own["visible"]),
+            explain_read_only("detector", "epoch"),
+        ):
             verdict = judge_with_trace(bound, TracedEpoch(**seen))
         for name, array in own.items():
             require_contract(
@@ -185,6 +190,21 @@ class _DetectorTrial(ContractTrial[Detector]):
             for array in own.values():
                 array[...] = ~array if array.dtype == np.bool_ else np.nan
         return record
+
+
+@contextmanager
+def _name_failure(detector: Detector, where: str, visible: NDArray[np.bool_]) -> Iterator[None]:
+    """Say which class fails or warns, and at what."""
+    try:
+        yield
+    except (AssertionError, IsolationError):
+        raise
+    except Exception as error:
+        kind, seen = detector.label or type(detector).__name__, visible.sum(axis=1)
+        raise AssertionError(
+            f"`{kind}.judge` failed {where}, of {len(seen)} receivers that see {seen.min()} to "
+            f"{seen.max()} satellites: {type(error).__name__}: {error}"
+        ) from error
 
 
 def judge_with_trace(detector: Detector, epoch: TracedEpoch) -> Verdict:
@@ -374,7 +394,11 @@ def _judge_all(
 ) -> tuple[Detector, list[Verdict]]:
     bound = copy.deepcopy(unbound)
     bound.bind(steady.context)
-    return bound, [bound.judge(epoch) for epoch in epochs]
+    verdicts = []
+    for number, epoch in enumerate(epochs):
+        with _name_failure(bound, f"in epoch {number} of a steady run", epoch.visible):
+            verdicts.append(bound.judge(epoch))
+    return bound, verdicts
 
 
 def _first_alarm(verdicts: Sequence[Verdict]) -> int:

@@ -85,8 +85,10 @@ def test_a_class_of_the_user():
     assert make("detector", DETECTORS, Detector, entry.spec).level == 3.0
     with pytest.raises(TypeError, match=r"must keep its settings .* it has no 'factor'"):
         specify_detector(Forgetful())
-    with pytest.raises(ValueError, match="there is no module 'nowhere'"):
+    with pytest.raises(ValueError, match=r"no module 'nowhere' .*; Python looked in "):
         load_class("nowhere:Thing", Detector)
+    with pytest.raises(ValueError, match=r"mapping: {'name': 'its:Thing', 'level': 7}"):
+        make("detector", DETECTORS, Detector, "its:Thing:level=7")
     with pytest.raises(ValueError, match="has no 'Ramq'; did you mean 'Ramp'"):
         load_class("spoofgym.spoofers:Ramq", Detector)
     with pytest.raises(ValueError, match=r"must be a class derived from spoofgym\.detectors\.base"):

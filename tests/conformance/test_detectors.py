@@ -1,6 +1,7 @@
 """Every detector keeps the contract, and `check_detector` catches whoever breaks it."""
 
 import copy
+from collections import deque
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -161,6 +162,15 @@ class Mean(Detector):
         return Verdict(statistic, np.full_like(statistic, 5.0), alarm)
 
 
+class Stateless(Detector):
+    """Remembers nothing, and has no `bind`."""
+
+    paper = "page1954"
+
+    def judge(self, epoch):
+        return compare(np.abs(epoch.innovation).max(axis=1, keepdims=True), 9.0)
+
+
 class Declared(Mean):
     sets: ClassVar = {"silent_epochs": 7, "memory_epochs": 8}
 
@@ -175,7 +185,7 @@ class WithoutMemory(Mean):
 
 @pytest.mark.parametrize(
     "detector",
-    [Sum(), AnyChannel(), Odometer(), FarFix(), EveryCoordinate(), Declared()],
+    [Sum(), AnyChannel(), Odometer(), FarFix(), EveryCoordinate(), Declared(), Stateless()],
     ids=lambda detector: type(detector).__name__,
 )
 def test_a_new_detector_that_keeps_the_contract_passes(detector):
@@ -278,6 +288,21 @@ class CountsOutsideButResets(CountsOutsideTheMemory):
     def reset(self, mask=None):
         super().reset(mask)
         self.count[slice(None) if mask is None else mask] = 0.0
+
+
+class MeanOfNone(Sum):
+    def statistic(self, epoch):
+        return super().statistic(epoch) / epoch.visible.sum(axis=1, keepdims=True)
+
+
+class KeepsAList(Sum):
+    def bind(self, context):
+        super().bind(context)
+        self.past = deque(maxlen=2)
+
+    def statistic(self, epoch):
+        self.past.append(np.abs(epoch.innovation).max())
+        return np.where(epoch.visible, super().statistic(epoch) + max(self.past), 0.0)
 
 
 class ForgetsAll(Sum):
@@ -420,6 +445,17 @@ BROKEN = {
     "moved": (CountsOutsideButResets(), "When the rows of its memory are moved to another batch"),
     "forgets": (ForgetsAll(), "A reset of some receivers must leave the others alone"),
     "lambda": (HoldsALambda(), "cannot be pickled"),
+    "a list": (KeepsAList(), "bit for bit, .* Likely causes: .* state outside `memory` .* or sums"),
+    "misspelt": (
+        stating(judge=lambda self, epoch: epoch.innovations),
+        r"`Odd.judge` failed in epoch 0 of .*: AttributeError: an `Epoch` has no 'innovations'; "
+        r"valid: time, .*weights; did you mean 'innovation'\?",
+    ),
+    "none to divide by": (
+        MeanOfNone(),
+        "`MeanOfNone.judge` failed in epoch 15 of made-up epochs, of 5 receivers that see 0 to 0 "
+        "satellites: RuntimeWarning: invalid value encountered in divide",
+    ),
     "copied": (ForgetsWhenCopied(), "A deep-copied detector must go on as if it had not been"),
 }
 
@@ -430,14 +466,7 @@ def test_a_broken_detector_is_caught(detector, said):
         check_detector(detector)
 
 
-class MeanOfNone(Sum):
-    def statistic(self, epoch):
-        return super().statistic(epoch) / epoch.visible.sum(axis=1, keepdims=True)
-
-
-def test_what_warns_or_is_no_detector_is_refused():
-    with pytest.raises(RuntimeWarning, match="invalid value encountered in divide"):
-        check_detector(MeanOfNone())
+def test_what_is_no_detector_is_refused():
     with pytest.raises(TypeError, match="a detector is a name"):
         check_detector(dict)
     with pytest.raises(ValueError, match=r"unknown detector 'ewna'.*did you mean 'ewma'"):
