@@ -105,7 +105,7 @@ def list_bases() -> dict[str, tuple[int, int]]:
     }
     found = {}
     for basis in BASES:
-        same = {"basis": basis, "knowledge": "blind", "detector": "never"}
+        same: dict[str, Any] = {"basis": basis, "knowledge": "blind", "detector": "never"}
         env: Any = gym.make("spoofgym/Offsets-v0", **world, **same)
         found[basis] = env.action_space.shape[0], env.observation_space.shape[0]
     return found
