@@ -124,15 +124,17 @@ def count_holdouts(
 def count_task(task: str, runs: int) -> dict[str, Any]:
     """Hold-out of the detectors of a task's suite that have a calibration in its world."""
     world, pairs = World.of(task), []
-    for each in inner_detectors(list_standard_detectors(get_task(task))):
-        what = world.setup.conditions, describe_identity(each), False
-        pairs += [(made, each) for made in load_stored(*what, SHIPPED_FOLDER)][:1]
-    made, detectors = zip(*pairs, strict=True)
+    for spec in list_standard_detectors(get_task(task)):
+        label = specify_detector(spec).label
+        for each in inner_detectors([spec]):  # none of one that never alarms
+            what = world.setup.conditions, describe_identity(each), False
+            pairs += [(made, each, label) for made in load_stored(*what, SHIPPED_FOLDER)][:1]
+    made, detectors, labels = zip(*pairs, strict=True)
     asked: dict[str, Any] = {"false_alarms_per_hour": STANDARD_RATE, "progress": show_progress}
     held = hold_out(world.setup, made, detectors, runs=runs, **asked)
     rows = [
-        {**each.as_dict(), "name": specify_detector(detector).label, "calibrated": one.runs}
-        for one, each, detector in zip(made, held, detectors, strict=True)
+        {**each.as_dict(), "name": label, "calibrated": one.runs}
+        for one, each, label in zip(made, held, labels, strict=True)
     ]
     return {"task": task, "settings": world.setup.conditions.digest, "detectors": rows}
 
@@ -178,6 +180,10 @@ def _tabulate_task(world: dict[str, Any]) -> Table:
         ("calibrated on", "calibrated", "{:,}".format),
         ("with an alarm (predicted)", _format_count),
         ("per hour", lambda row: interval(_find_hourly(row))),
+        (
+            "at ages of 1 to 3, to 10, to 30, to 60 min",
+            lambda row: ", ".join(_rate(each) for _, each in row["per_hour_by_age"]),
+        ),
         ("alarm before it [%]", lambda row: f"{100 * row['early'] / row['runs']:.2g}"),
     )
 

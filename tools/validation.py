@@ -76,9 +76,9 @@ def build_tables() -> str:
         f"asked {rates['rate']:g} an hour, measured {', '.join(measured)} in the means of three "
         "worlds, passive detectors ([which, and the suite's world]"
         "(calibration_worlds.md#do-those-that-are-shipped-hold)).",
-        "**Papers.** Left out are rows that agree by construction, where the printed value and ours "
-        "are both none or both all. Some bands are our choice, the second program is unpublished "
-        "([papers](papers.md)).",
+        "**Papers.** Left out are rows that agree by construction, where the printed value and "
+        "ours are both none or both all. Some bands are our choice, and the second program is "
+        "unpublished ([papers](papers.md)).",
         papers,
         "## Modelled only",
         Table.of_texts("capability", "why").markdown(modelled) + "\n",
