@@ -56,6 +56,7 @@ def test_the_price_of_an_alarm_breaks_even_at_the_budget(reached, price_m):
     assert suite_ppo.find_price(curve) == pytest.approx(price_m)
 
 
+@pytest.mark.usefixtures("default_rate")  # as users have it
 def test_shipped_policies_are_those_that_are_scored_and_say_what_they_were_chosen_on():
     policies = json.loads(SCORES.read_text())["policies"]
     assert {path.stem for path in SHIPPED.glob("*.onnx")} == {*policies}
