@@ -177,7 +177,7 @@ def build_experiment(judge: Evaluator, heading: float, config: dict[str, Any]) -
             judge.progress = Ticks(context.tick)
             return judge.fit({"name": name, setting: "tuned", "heading_deg": heading}).as_dict()
 
-        return Part({}, make, work=search_work(judge.optima.tuning))
+        return Part({}, make, work=search_work(judge.optima.tuning, judge.runs))
 
     return Records("profile", config, {each[0]: make_part(*each) for each in FITTED.items()})
 

@@ -498,8 +498,11 @@ def _as_numbers(frame: pandas.DataFrame, name: str) -> NDArray[np.float64]:
 def _say_first(column: Any, *parsers: Any) -> str:
     """The first value that none of them takes, and its row."""
     bad = column.notna().to_numpy()
-    for parse in parsers:
-        bad = bad & parse(column, errors="coerce").isna().to_numpy()
+    try:
+        for parse in parsers:
+            bad = bad & parse(column, errors="coerce").isna().to_numpy()
+    except OverflowError:  # a number of hundreds of digits, which pandas does not name
+        return ""
     k = int(np.argmax(bad))
     return f", got {str(column.iloc[k])[:40]!r} in row {k + 1}" if bad.any() else ""
 

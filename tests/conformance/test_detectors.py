@@ -372,7 +372,7 @@ CHANGES = {
         "must be the same, bit for bit, among 1 and among 5 receivers",
     ),
     "an alarm of its own": (
-        lambda d, e, v: v._replace(alarm=v.statistic < v.threshold),
+        lambda d, e, v: v._replace(alarm=e.visible & (v.statistic < v.threshold)),
         "`alarm` must be whether the statistic exceeds the threshold, got True with",
     ),
     "global dice": (

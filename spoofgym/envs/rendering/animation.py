@@ -88,7 +88,8 @@ def ffmpeg_program() -> str:
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError as error:
-        raise name_extra("an MP4 without FFmpeg on the path", error, "video") from error
+        what = "an MP4 without FFmpeg on the path, unlike a .gif or .webp,"
+        raise name_extra(what, error, "video") from error
     return str(get_ffmpeg_exe())
 
 
