@@ -70,7 +70,9 @@ def test_gaps_and_files_of_hours_and_stations(fly_at, days):
     heard = [days(8, 12, slice(k, None, 2)) for k in (0, 1)]  # each station hears every other one
     assert fly_at(9.95, *heard).scenario.world().visible.sum(axis=1).min() >= 4
     few = days(8, 12, slice(9))
-    with pytest.raises(ValueError, match=r"first fix needs 4 satellites above 10 deg, got \d at time zero"):
+    with pytest.raises(
+        ValueError, match=r"first fix needs 4 satellites above 10 deg, got \d at time"
+    ):
         fly_at(9.95, few)
 
 

@@ -49,7 +49,7 @@ DRAWN = {
     "certain": (ORANGE, "missed in one of a thousand"),
 }
 """Purposes with floors that are drawn over time, their colours and labels."""
-EPOCH_S = 0.007  # of a processor, of the floor of one world, for an epoch before the attack
+EPOCH_S = 0.001  # of a processor, of the floor of one world, for an epoch before the attack
 UNBOUNDED = "unbounded"
 NO_POSITION = "the restricted attack is a false position, which this one does not command"
 
