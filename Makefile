@@ -34,7 +34,8 @@ help: ## list the targets
 venv: $(VENV)/.installed-bench ## create the virtual environment with what the benchmark needs
 
 bench: $(VENV)/.installed-bench ## play a part of the standard suite by a quick budget, and write its report
-	$(VENV)/bin/spoofgym bench --budget quick $(bench_detectors) $(ARGS)
+	$(VENV)/bin/spoofgym bench --budget quick \
+		$(bench_detectors) $(ARGS)
 
 test: $(VENV)/.installed-test ## run all tests; a part of them with ARGS="-k word"
 	$(python) -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
@@ -89,7 +90,8 @@ pip_bench := --no-compile
 
 # One stamp for each set of extras, renewed when the dependencies change.
 $(VENV)/.installed-%: pyproject.toml constraints.txt | $(python)
-	$(python) -m pip install --quiet --prefer-binary $(pip_$*) -c constraints.txt -e '.[$(extras_$*)]'
+	$(python) -m pip install --quiet --prefer-binary $(pip_$*) -c constraints.txt \
+	  -e '.[$(extras_$*)]'
 	@touch $@
 
 # A version that constraints-ray.txt names is taken from there, all others from constraints.txt.
