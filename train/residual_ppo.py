@@ -136,9 +136,13 @@ def make_env(base: str, spec: dict[str, Any], knowledge: str) -> dict[str, Any]:
 
 def correct_nothing(base: str, spec: dict[str, Any]) -> ModelPolicy:
     """The base at the pace of its corrections."""
-    nothing = lambda seen: np.zeros((len(seen), 1))  # noqa: E731
     knowledge = "statistics" if base == FEEDBACK else "blind"
-    return ModelPolicy(nothing, label=base, **make_env(base, spec, knowledge))
+    return play_base(base, make_env(base, spec, knowledge))
+
+
+def play_base(label: str, env: dict[str, Any]) -> ModelPolicy:
+    """A policy of an environment with a base, which corrects nothing."""
+    return ModelPolicy(lambda seen: np.zeros((len(seen), 1)), label=label, **env)
 
 
 @cache

@@ -8,9 +8,9 @@ A detector's base is the open-loop attack of docs/headlines.json, at the amplitu
 budget on choice runs.  PPO sees the detector's statistics, begins with corrections of 0, explores
 no wider than the base stays quiet with, pays for an alarm what breaks even at the budget, and goes
 on for `steps` decisions; of its checkpoints and the base the one is taken that gets farthest on the
-choice runs.  Scores are of the runs of the
-README's table, at exactly the budget, which decide nothing here; ratios to the base are paired.
-After a kill the same command goes on with the seed that was learning.
+choice runs.  Scores are of the runs of the README's table, at exactly the budget, which decide
+nothing here; ratios to the base are paired.  After a kill the same command goes on with the seed
+that was learning.
 """
 
 from __future__ import annotations
@@ -45,7 +45,6 @@ from spoofgym.core.progress import ProgressBar
 from spoofgym.core.registry import check_choice
 from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.policies import SpooferCard
-from spoofgym.spoofers.learned import ModelPolicy
 from spoofgym.tasks import get_task
 
 from .residual_ppo import (
@@ -54,6 +53,7 @@ from .residual_ppo import (
     freeze,
     get_metres,
     make_model,
+    play_base,
     scale_rates,
 )
 
@@ -135,7 +135,7 @@ def find_base(label: str, choice_runs: int) -> dict[str, Any]:
         if cell["detector"] == label and cell["spoofer"] == OPEN_LOOP
     )
     spec = {"name": OPEN_LOOP, "rates_mps": found}
-    fit = make_judge(label, choice_runs, CHOICE).fit(correct_nothing(spec))
+    fit = make_judge(label, choice_runs, CHOICE).fit(play_base(OPEN_LOOP, make_env(spec, BLIND)))
     found = scale_rates(spec, fit.value)
     price_m = find_price(fit.trace)
     reached = {"choice_m": get_metres(fit.at_budget), "price_m": round(price_m, 1)}
@@ -164,11 +164,6 @@ def make_env(spec: dict[str, Any], knowledge: str) -> dict[str, Any]:
 
 def set_env(label: str, spec: dict[str, Any], knowledge: str = STATISTICS) -> dict[str, Any]:
     return {**WORLD, "detector": list_specs()[label], **make_env(spec, knowledge)}
-
-
-def correct_nothing(spec: dict[str, Any]) -> ModelPolicy:
-    nothing = lambda seen: np.zeros((len(seen), 1))  # noqa: E731
-    return ModelPolicy(nothing, label=OPEN_LOOP, **make_env(spec, BLIND))
 
 
 def find_spread(label: str, spec: dict[str, Any]) -> dict[str, Any]:
@@ -244,7 +239,10 @@ def score_policy(path: Path, runs: int) -> dict[str, Any]:
     label = specify_detector(card.env_kwargs["detector"]).label
     (term,) = (each for each in card.env_kwargs["action"] if each["name"] == "residual")
     judge = make_judge(label, runs, FINAL)
-    kept, base = judge.fit(str(path)), judge.fit(correct_nothing(term["spoofer"]))
+    kept, base = (
+        judge.fit(str(path)),
+        judge.fit(play_base(OPEN_LOOP, make_env(term["spoofer"], BLIND))),
+    )
     ratio = ratio_at_budget(kept.trace, base.trace, BUDGET).as_json()
     kept_of_card = ("knowledge", "seed", "price_m", "steps", "choice_m")
     origin = {name: card.training[name] for name in kept_of_card}

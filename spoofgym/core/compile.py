@@ -202,7 +202,7 @@ WAIT_S = 100.0  # for another process that compiles the same; the longest take a
 NOTICE_S = 2.0
 NOTICE = (
     "spoofgym: compiling {} for this machine; what a first run compiles takes about a minute and "
-    "is kept (`spoofgym warmup` does it beforehand)"
+    "is stored (`spoofgym warmup` does it beforehand)"
 )
 
 

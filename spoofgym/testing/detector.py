@@ -199,7 +199,7 @@ def _name_failure(detector: Detector, where: str, visible: NDArray[np.bool_]) ->
         yield
     except (AssertionError, IsolationError):
         raise
-    except Exception as error:
+    except Exception as error:  # of any kind, since it is another's code
         kind, seen = detector.label or type(detector).__name__, visible.sum(axis=1)
         raise AssertionError(
             f"`{kind}.judge` failed {where}, of {len(seen)} receivers that see {seen.min()} to "
