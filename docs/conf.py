@@ -13,8 +13,8 @@ from pathlib import Path
 
 import latex2mathml.converter
 import scipy.stats  # noqa: F401  (before torch is mocked, of whose classes it asks)
+from docutils import nodes
 from docutils.nodes import SkipNode, Text, raw
-from docutils.nodes import entry as entry_node
 from sphinx.addnodes import desc_annotation
 
 import spoofgym
@@ -29,6 +29,8 @@ MORE = {
 }
 """Pages that docs/README.md does not list, by its headings."""
 
+UNITS = re.compile(r"(?<=\d) (?=(?:%|[km]?m|m?s|k?Hz|min|h|[kM]B|GB|m/s|m/s2|dB)(?![\w/]))")
+
 project, author, version = "spoofgym", "The spoofgym developers", spoofgym.__version__
 extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
 root_doc = "README"
@@ -39,9 +41,11 @@ html_copy_source = False
 html_show_copyright = False
 html_css_files = ["site.css"]
 html_static_path = ["static"]
+pygments_dark_style = "github-dark"
 
 myst_heading_anchors = 3
 nb_execution_mode = "off"  # tutorials hold what they printed
+nb_merge_streams = True
 myst_enable_extensions = ["dollarmath"]
 html_math_renderer = "mathml"
 
@@ -66,7 +70,7 @@ def add_contents(app, docname, source):
 
 def break_specs(app, doctree, docname):
     """Let a long word of a table, such as a detector with its settings, break at its marks."""
-    for entry in doctree.findall(entry_node):
+    for entry in doctree.findall(nodes.entry):
         for text in list(entry.findall(Text)):
             if max(map(len, text.split()), default=0) > 16:
                 pieces = re.split(r"(?<=[(,=/_])", text)
@@ -74,6 +78,17 @@ def break_specs(app, doctree, docname):
                     x for each in pieces for x in (raw("", "<wbr>", format="html"), Text(each))
                 ]
                 text.parent.replace(text, marks[1:])
+
+
+def hold_together(app, doctree, docname):
+    """Keep a number with its unit, and a short name such as ``--detector``, on one line."""
+    for text in list(doctree.findall(Text)):
+        if isinstance(text.parent, nodes.literal):
+            text.parent["classes"] += ["short"] * (len(text) <= 20 and " " not in text)
+        elif isinstance(text.parent, nodes.TextElement) and not text.parent.get("xml:space"):
+            held = UNITS.sub("\u00a0", text)
+            if held != text:
+                text.parent.replace(text, Text(held))
 
 
 def silence(app, env, node, contnode):
@@ -127,6 +142,7 @@ def setup(app):
     """Called by Sphinx."""
     app.add_html_math_renderer("mathml", (write_formula, None), (write_formula, None))
     app.connect("source-read", add_contents)
+    app.connect("doctree-resolved", hold_together)
     app.connect("doctree-resolved", break_specs)
     app.connect("autodoc-process-docstring", first_paragraph)
     app.connect("autodoc-process-signature", written_defaults)
