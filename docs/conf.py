@@ -41,7 +41,7 @@ html_copy_source = False
 html_show_copyright = False
 html_css_files = ["site.css"]
 html_static_path = ["static"]
-pygments_dark_style = "github-dark"
+pygments_dark_style = "a11y-dark"
 
 myst_heading_anchors = 3
 nb_execution_mode = "off"  # tutorials hold what they printed
@@ -73,7 +73,8 @@ def break_specs(app, doctree, docname):
     for entry in doctree.findall(nodes.entry):
         for text in list(entry.findall(Text)):
             if max(map(len, text.split()), default=0) > 16:
-                pieces = re.split(r"(?<=[(,=/_])", text)
+                parts = re.split(r"(?<=[(,=/])", text)
+                pieces = [x for y in parts for x in re.split("(?<=_)" * (len(y) > 16) or "$^", y)]
                 marks = [
                     x for each in pieces for x in (raw("", "<wbr>", format="html"), Text(each))
                 ]
@@ -129,6 +130,26 @@ def write_formula(self, node):
     raise SkipNode
 
 
+def mend_backlinks(app, pagename, templatename, context, doctree):
+    """Let [docs] in a source lead to the name as its page has it.
+
+    viewcode writes all names of a file as of one module, also those that a page takes from another.
+    """
+    listed = {name: each.docname for name, each in app.env.domaindata["py"]["objects"].items()}
+
+    def mend(found):
+        link, folder, page, name = found.group(0, 1, 2, 3)
+        same = [each for each in listed if listed[each] == page]
+        ends = [name.split(".", k)[-1] for k in range(1, name.count(".") + 1)]
+        names = [each for end in ends for each in same if each.endswith("." + end)]
+        return link if name in same or not names else f'href="{folder}{page}.html#{names[0]}"'
+
+    if pagename.startswith("_modules/"):
+        context["body"] = re.sub(
+            r'href="((?:\.\./)*)([\w/]+)\.html#([\w.]+)"', mend, context["body"]
+        )
+
+
 def exists(name):
     """Whether a dotted name is a module, or something in one."""
     try:
@@ -149,3 +170,4 @@ def setup(app):
     app.connect("autodoc-skip-member", skip_alias)
     app.connect("missing-reference", silence)
     app.connect("object-description-transform", shorten)
+    app.connect("html-page-context", mend_backlinks)
