@@ -111,9 +111,9 @@ def written_defaults(app, what, name, obj, options, signature, returns):
     return (signature.replace("<factory>", "..."), returns) if signature else None
 
 
-def skip_alias(app, what, name, obj, skip, options):
-    """Leave out names of types such as ``tuple[str, ...]``, which autodoc takes for calls."""
-    return True if isinstance(obj, types.GenericAlias) else None
+def skip_member(app, what, name, obj, skip, options):
+    """Leave out pydantic's own, and names of types, such as ``tuple[str, ...]``, taken for calls."""
+    return True if name == "model_config" or isinstance(obj, types.GenericAlias) else None
 
 
 def shorten(app, domain, objtype, content):
@@ -167,7 +167,7 @@ def setup(app):
     app.connect("doctree-resolved", break_specs)
     app.connect("autodoc-process-docstring", first_paragraph)
     app.connect("autodoc-process-signature", written_defaults)
-    app.connect("autodoc-skip-member", skip_alias)
+    app.connect("autodoc-skip-member", skip_member)
     app.connect("missing-reference", silence)
     app.connect("object-description-transform", shorten)
     app.connect("html-page-context", mend_backlinks)

@@ -55,6 +55,11 @@ def test_a_page_and_its_tables_are_no_wall(page):
     assert find_walls(name_of(page), page.read_text()) == []
 
 
+def test_tables_for_contributors_are_no_wall():
+    tables = list_tables((ROOT / "CONTRIBUTING.md").read_text())
+    assert all(rows <= MOST_ROWS and columns <= MOST_COLUMNS for rows, columns in tables)
+
+
 def test_walls_are_found_and_exceptions_are_needed():
     head, line = "| a | b |\n|---|---|\n", "| 1 | 2 |\n"
     assert find_walls("x", "word " * 1200 + "\n\n" + head + 10 * line) == []
