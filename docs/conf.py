@@ -112,7 +112,7 @@ def written_defaults(app, what, name, obj, options, signature, returns):
 
 
 def skip_member(app, what, name, obj, skip, options):
-    """Leave out pydantic's own, and names of types, such as ``tuple[str, ...]``, taken for calls."""
+    """Leave out pydantic's own, and types such as ``tuple[str, ...]``, taken for calls."""
     return True if name == "model_config" or isinstance(obj, types.GenericAlias) else None
 
 
