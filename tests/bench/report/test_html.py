@@ -76,6 +76,7 @@ def test_a_page_loads_nothing_and_its_bytes_follow_from_the_results(results, pag
     assert page.count("<svg") > 6
     assert results.store.config["code"]["sources"] in page
     assert "<dt>Kaplan-Meier</dt>" in page
+    assert "<dt>P(HMI)</dt>" in page
     assert "<dt>payoff</dt>" not in page  # a term of games
 
 
@@ -174,6 +175,9 @@ found.start = output();
 found.drawn = document.querySelectorAll("#replay svg path").length;
 found.requests = performance.getEntriesByType("resource").length;
 found.wide = [document.documentElement.scrollWidth, innerWidth];
+document.querySelectorAll("details").forEach((each) => { each.open = true; });
+const boxes = [...document.querySelectorAll(".scroll")];
+found.scrolled = boxes.filter((box) => box.scrollWidth > box.clientWidth).length;
 found.paper = getComputedStyle(document.body).backgroundColor;
 document.body.innerHTML = "<pre></pre>";
 document.querySelector("pre").textContent = JSON.stringify(found);
@@ -202,6 +206,7 @@ def test_in_a_browser_tables_sort_the_slider_plays_and_no_request_leaves(
     assert found["drawn"] > 20
     assert found["requests"] == 0
     assert found["wide"][0] <= found["wide"][1] <= width
+    assert width < 1280 or found["scrolled"] == 0
     assert found["paper"] == ("rgb(22, 24, 28)" if dark else "rgb(255, 255, 255)")
 
 
