@@ -39,6 +39,7 @@ html_theme = "furo"
 html_title = f"spoofgym {version}"
 html_copy_source = False
 html_show_copyright = False
+html_show_search_summary = False  # it fetches pages, which a browser forbids to a site of files
 html_css_files = ["site.css"]
 html_static_path = ["static"]
 pygments_dark_style = "a11y-dark"
