@@ -17,6 +17,7 @@ from tools.pages import DOCS, ROOT, marks, put_between
 
 PAGE = DOCS / "validation.md"
 LEDGER = Path(__file__).with_suffix(".toml")
+HEAD = "capability", "validated against", "limit of the test", "test"
 COUNTS = {"printed_inside": "printed value and ours in the band", "agrees": "second program"}
 
 
@@ -73,7 +74,7 @@ def build_tables() -> str:
     head = "paper", *COUNTS.values(), *(f"{title}, all rows" for title in COUNTS.values())
     papers = Table.of_texts(*head).markdown(count_papers())
     return "\n\n".join([
-        Table.of_texts("capability", "validated against", "limit of the test", "test").markdown(rows),
+        Table.of_texts(*HEAD).markdown(rows),
         f"**False alarms** of the shipped calibrations, {rates['cells']} cells on fresh runs: "
         f"asked {rates['rate']:g} an hour, measured {', '.join(measured)} in the means of three "
         "worlds, passive detectors ([which, and the suite's world]"
