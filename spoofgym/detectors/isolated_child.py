@@ -60,7 +60,7 @@ def describe_traits(detector: Detector) -> dict[str, Any]:
     }
 
 
-def describe_error(error: BaseException) -> str:
+def locate_error(error: BaseException) -> str:
     """An error with its line of the detector's code."""
     frames = [
         each
@@ -159,7 +159,7 @@ class Server:
         row = int(found[1]) if found else None
         if work == "judge" and isinstance(error, Exception) and row is None:
             row = self.find_receiver(type(error))
-        return {"error": describe_error(error), "receiver": row}
+        return {"error": locate_error(error), "receiver": row}
 
     def find_receiver(self, kind: type[Exception]) -> int | None:
         """The one receiver that makes the detector fail, as it is now; None where there is none."""
@@ -199,7 +199,7 @@ def serve_host(channel: Channel) -> None:
         detector = given if isinstance(given, Detector) else bare_detector(given)
         answer = b"=" + json.dumps(describe_traits(detector)).encode()
     except BaseException as error:
-        channel.send(b"!" + json.dumps({"error": describe_error(error)}).encode())
+        channel.send(b"!" + json.dumps({"error": locate_error(error)}).encode())
         return
     channel.send(answer)
     load_kernels()
