@@ -147,6 +147,7 @@ FLOOR = {"half": {"value": 20.0}, "few": {"value": 30.0}}
         (audit_of(alike=False), "two calls on the same epochs differ"),
         (audit_of(alarms=1.0), "alarms in every run, with an attack and without one"),
         (audit_of(found=0.0), "never alarms, with an attack or without one"),
+        (audit_of(alarms=0.4), "alarms since switch-on in 40 % of the runs without an attack"),
         (audit_of(alarms=0.1), "false alarms 2.4 (1.1 to 4.4) an hour, above the 0.2"),
         (
             audit_of(events={"front": np.arange(RUNS) < 50}),

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...detectors.calibrated import NOISY_WARMUP
 from ...detectors.calibration_file import run_probability
 from ..runs.record import MEASURES, Aim, Mask, Protection
 from .detector import CLEAN, WINDOW, DetectorScore, FamilyScore
@@ -188,6 +189,11 @@ class Audit:
                     f"{self.requested_per_hour:g} that it is calibrated to"
                 )
         usual = score.false_alarm_rate(CLEAN)
+        if usual.low > NOISY_WARMUP and usual.value < 1.0:
+            yield (
+                f"alarms since switch-on in {100.0 * usual.value:.0f} % of the runs without an "
+                "attack: all else is of the others"
+            )
         words = []
         for name in (each for each in alarms if each not in (WINDOW, CLEAN)):
             rate = score.false_alarm_rate(name)
