@@ -129,7 +129,8 @@ class AgeProbe(NamedTuple):
 class Audit:
     """Audit of one detector in one task: `requested_per_hour`, None for thresholds of its own;
     `floor_m` that even a perfect detector allows, by purpose, and `reference`, figures of the best
-    non-learned one, None where not known; `cost_us`: time for an epoch of a receiver [us]."""
+    non-learned one, None where not known; `cost_us`: time for an epoch of a receiver [us];
+    `broken`: the first rule of the contract of detectors that it breaks."""
 
     score: DetectorScore
     title: str
@@ -139,6 +140,7 @@ class Audit:
     floor_m: Mapping[str, Any] | None
     reference: Mapping[str, Any] | None
     cost_us: float
+    broken: str | None = None
 
     @cached_property
     def figures(self) -> dict[str, Any]:
@@ -167,6 +169,8 @@ class Audit:
 
     def _warn(self) -> Iterator[str]:
         score, probe = self.score, self.probe
+        if self.broken is not None:
+            yield self.broken
         if not probe.alike:
             yield "two calls on the same epochs differ: the figures are those of one call"
         if score.false_alarms[CLEAN].all():
