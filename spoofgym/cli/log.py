@@ -303,4 +303,4 @@ def _describe_import(log: InnovationLog) -> list[str]:
             value = ", ".join(f"{count} {reason}" for reason, count in value.items()) or "nothing"
         lines.append(f"{key.replace('_', ' ')}: {value}")
     medians = [f"{each.median:.2g} ({each.signal})" for each in log.check_signals()]
-    return [*lines, f"kept: {_describe_size(log)}; median NIS {', '.join(medians)}"]
+    return [*lines, f"used: {_describe_size(log)}; median NIS {', '.join(medians)}"]
