@@ -45,13 +45,13 @@ class AuditOptions:
         None,
         min=2,
         max=opt.LARGEST_RUNS,
-        help="Evaluation runs of every family, or of a spoofer. Default: those of the budget.",
+        help="Evaluation runs of every family, or of a spoofer. Default: as many as --budget says.",
     )
     selection_runs: int | None = Option(
         None,
         min=4,
         max=opt.LARGEST_RUNS,
-        help="Runs that the attacks of a family are chosen on. Default: those of the budget.",
+        help="Runs that the attacks of a family are chosen on. Default: as many as --budget says.",
     )
     log: Path | None = Option(
         None,

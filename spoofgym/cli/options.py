@@ -141,7 +141,7 @@ class WorldOptions:
         None, help="GNSS errors instead of the scenario's own: groves, zhong2025 ..."
     )
     imu: str | None = Option(
-        None, help="Grade of the inertial sensors instead: aviation, tactical, consumer."
+        None, help="Inertial sensors instead of the scenario's: aviation, tactical, consumer."
     )
     tuning: str | None = Option(
         None,
