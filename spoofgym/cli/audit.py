@@ -68,7 +68,7 @@ class AuditOptions:
         None, help="With --log: length of an attack, in seconds. Default: 150."
     )
     time_to_alert_s: float | None = Option(
-        None, help="With --log: time from that error on in which an alarm counts. Default: 10 s."
+        None, help="With --log: time after that error in which an alarm counts. Default: 10 s."
     )
     out: Path = Option(
         Path("results/audit"), help="Folder of finished parts and of the worst attacks."

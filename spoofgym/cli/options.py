@@ -188,7 +188,7 @@ class WorldOptions:
         "environment.",
     )
     live_s: float | None = Option(
-        None, help="Last part of that, in which detectors may alarm, in seconds."
+        None, help="Last part of the clean run, in which detectors may alarm, in seconds."
     )
     attack_s: float | None = Option(None, help="Time that the attack lasts, in seconds.")
     time_to_alert_s: float | None = Option(
