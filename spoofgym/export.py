@@ -548,8 +548,8 @@ def _make_card(
     core = inner.core
     if core.settings["observation"] is not None:
         raise ValueError(
-            "a spoofer in a file observes what its `knowledge` gives; the environment has an "
-            f"`observation` of its own: {core.settings['observation']!r}"
+            "a spoofer in a file observes what its `knowledge` gives: train it without the "
+            f"`observation` of this environment, {core.settings['observation']!r}"
         )
     env_id, env_kwargs = describe_environment(inner)
     if "action" in env_kwargs:  # a base is looked for beside the card
@@ -588,8 +588,8 @@ def _normalization_around(model: Any, env: Any) -> Normalization | None:
     same = np.array_equal(own.mean, found.mean) and np.array_equal(own.scale, found.scale)
     if not (same and own.clip == found.clip):
         raise ValueError(
-            "`env` normalizes observations otherwise than the model's own environment: leave `env` "
-            "out, or give the one that it has learned in"
+            "`env` normalizes observations differently from the model's own environment: leave "
+            "`env` out, or give the one that it was trained in"
         )
     return None
 

@@ -81,7 +81,7 @@ def test_the_normalization_of_observations_is_folded_in(tmp_path):
     np.testing.assert_array_equal(read(tmp_path / "alone.onnx")(seen), acted)
     other = VecNormalize(make(), norm_reward=False)
     other.reset()
-    with pytest.raises(ValueError, match="otherwise than the model's own environment"):
+    with pytest.raises(ValueError, match="differently from the model's own environment"):
         onnx(model, other, tmp_path / "other.onnx")
     assert not (tmp_path / "other.onnx").exists()
 
@@ -172,7 +172,12 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written(tmp_path, monkeypat
         (discrete, envs, TypeError, "only a policy with a Gaussian action"),
         (linear(size + 1, 1), envs, ValueError, rf"can't be run with \(B, {size}\)"),
         (linear(size, 2), envs, ValueError, r"must return \(B, 1\) for .* got \(2, 2\)"),
-        (linear(len(own.observation_names), 1), own, ValueError, "`observation` of its own"),
+        (
+            linear(len(own.observation_names), 1),
+            own,
+            ValueError,
+            "without the `observation` of this environment",
+        ),
         (Noisy(size, 1), envs, ValueError, "has the operator RandomNormalLike"),
         (Endless(), envs, ValueError, rf"{tmp_path / 'x.onnx'}.* returned (NaN|inf|-inf)"),
     ):

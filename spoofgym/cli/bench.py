@@ -223,8 +223,7 @@ def _report(
     verbose: bool,
     suite: Suite | None = None,
 ) -> None:
-    """Write scores and page, and print the answer, or all tables. `suite`: plays the worst run
-    again."""
+    """Write scores and page, and print the answer, or all tables. `suite` replays the worst run."""
     from ..bench.experiments.campaign import summarize
     from ..bench.report.campaign import print_campaign, state_answer
     from ..bench.report.campaign_page import build_page, replay_worst

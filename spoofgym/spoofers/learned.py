@@ -333,7 +333,7 @@ def refuse_changes(env: Any, whose: str, *, normalized: bool = False) -> None:
         if changed:
             raise ValueError(
                 f"the wrapper {kind.__module__}:{kind.__qualname__} changes every {changed[0]}, "
-                f"and {whose} is played without it: leave it out"
+                f"and {whose} is played without it: give an environment without this wrapper"
             )
 
 
