@@ -156,7 +156,7 @@ def bench(
     if fit_only:
         _print_fits([*results.searches.values()], as_json)
     else:
-        _report(results, as_json, reports, verbose, suite)
+        _report(results, as_json, reports, verbose, suite, named=bool(spoofer))
 
 
 def report(
@@ -219,11 +219,13 @@ def _report(
     reports: Reports,
     verbose: bool,
     suite: Suite | None = None,
+    *,
+    named: bool = False,
 ) -> None:
     """Write scores and page, and print the answer, or all tables. `suite`: plays the worst run
-    again."""
+    again; `named`: whether the spoofers were named, each of which gets a row."""
     from ..bench.experiments.campaign import summarize
-    from ..bench.report.campaign import print_campaign, state_answer
+    from ..bench.report.campaign import list_spoofer_rows, print_campaign, state_answer
     from ..bench.report.campaign_page import build_page, replay_worst
     from ..bench.report.page import load_replay, write_page
     from ..data.recorded import ONLY_TRAJECTORY
@@ -239,8 +241,10 @@ def _report(
         return
     if verbose:
         print_campaign(summary)
-    elif summary["missing"]:
-        typer.echo(f"not finished: {', '.join(summary['missing'])}")
+    else:
+        print_lines(list_spoofer_rows(summary) if named else [])
+        if summary["missing"]:
+            typer.echo(f"not finished: {', '.join(summary['missing'])}")
     real = [note for note in results.config["notes"] if note == ONLY_TRAJECTORY]
     answer = " ".join([state_answer(summary), *real, f"Report: {written[-1]}"])
     print_lines(wrap(answer, WIDTH, break_long_words=False, break_on_hyphens=False))

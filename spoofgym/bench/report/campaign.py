@@ -459,6 +459,7 @@ WORST = Table(
 """A detector, and what the worst attack of the suite exceeds undetected."""
 WIDTHS = (44, 22, 10, 20)
 """Of its columns."""
+SPOOFER_WIDTHS = (38, 24, 30)
 
 
 class WorstRows:
@@ -477,6 +478,20 @@ class WorstRows:
         lines = [line for row in rows for line in WORST.lines(row, WIDTHS)]
         titles, self.titles = (self.titles, []) if rows else ([], self.titles)
         return [*titles, *lines]
+
+
+def list_spoofer_rows(summary: Row) -> list[str]:
+    """Lines of a table that shows what every spoofer gets within the alarm budget."""
+    table = Table(
+        WORST.columns[0],
+        ("spoofer", "spoofer"),
+        (
+            f"at most {100 * summary['budget']:g} % of alarms [m]",
+            lambda cell: _optimum({**cell, **cell["stealthy_displacement_m"]}),
+        ),
+    )
+    cells = [cell for cell in summary["cells"] if cell["spoofer"] != "none"]
+    return [line for cell in (None, *cells) for line in table.lines(cell, SPOOFER_WIDTHS) if cells]
 
 
 def select_reach(row: Row) -> Row | None:
@@ -499,12 +514,14 @@ def state_answer(summary: Row) -> str:
     ]
     row, found = min(own or scores, key=lambda each: each[1]["value"])
     where = f"in the mean at {100 * summary['budget']:g} % of alarms"
-    where = "in half of the runs" if protections else where
+    worst = "worst"
+    if protections:
+        where, worst = "in half of the runs", "worst of the attack suite"
     claimed = row["claimed"]
     requested = f" (requested {claimed['false_alarms_per_hour']:g})" if claimed else ""
     return (
         f"{f'Tightest of {len(own)}: ' if len(own) > 1 else ''}"
-        f"{shorten_label(row['detector'])}: {interval(found)} m undetected {where} (worst: "
+        f"{shorten_label(row['detector'])}: {interval(found)} m undetected {where} ({worst}: "
         f"{found['spoofer']}), false alarms "
         f"{metres(row['false_alarms_per_hour']['value'])}/h{requested}."
     )
