@@ -105,6 +105,11 @@ def test_a_learned_detector_is_warned_of_where_it_has_met_what_is_held_out(key, 
         Auditor(key).worlds.build_detectors([guard, "never"])
 
 
+def test_the_list_names_every_family_that_an_audit_takes():
+    shown = {word.strip(",") for word in call("list", "D1").output.split()}
+    assert shown >= {each.key + "*" * each.held_out for each in DETECTOR_TASKS["D1"].families}
+
+
 @pytest.mark.usefixtures("default_rate")  # of which labels say nothing
 def test_cards_are_of_these_tasks_as_is_the_page_and_what_is_missing_has_its_command():
     cards, missing = detector_cards.stored_detector_cards(), detector_cards.missing()

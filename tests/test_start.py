@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym.core.startup import start_program
+from spoofgym.core.startup import NUMPY_ENVIRONMENT, start_program
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -72,12 +72,13 @@ def test_an_older_python_is_refused_in_one_line(program, words):
     assert "spoofgym needs Python 3.11 or newer" in done.stderr
 
 
-def test_the_program_alone_multiplies_matrices_by_one_thread(monkeypatch):
+def test_the_program_alone_has_one_thread_and_small_pages(monkeypatch):
     monkeypatch.setattr(signal, "signal", lambda number, handler: None)
-    monkeypatch.delenv(name := "OPENBLAS_NUM_THREADS", raising=False)
-    for program, expected in (("python", None), ("spoofgym", "1"), ("spoofgym", "3")):
-        monkeypatch.setattr(sys, "orig_argv", ["python", "-m", program])
-        if expected == "3":
-            monkeypatch.setenv(name, expected)
-        start_program()
-        assert os.environ.get(name) == expected
+    for name, own in NUMPY_ENVIRONMENT.items():
+        monkeypatch.delenv(name, raising=False)
+        for program, expected in (("python", None), ("spoofgym", own), ("spoofgym", "3")):
+            monkeypatch.setattr(sys, "orig_argv", ["python", "-m", program])
+            if expected == "3":
+                monkeypatch.setenv(name, expected)
+            start_program()
+            assert os.environ.get(name) == expected

@@ -23,7 +23,7 @@ from spoofgym.bench.experiments.suite import list_standard_detectors
 from spoofgym.bench.report.table import Table, interval
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.runs.world import World
-from spoofgym.bench.scores.statistics import wilson
+from spoofgym.bench.scores.statistics import clopper_pearson
 from spoofgym.calibration.holdouts import HOLDOUT_WEIGHING
 from spoofgym.calibration.thresholds import inner_detectors
 from spoofgym.core.progress import show_progress
@@ -189,7 +189,7 @@ def _tabulate_task(world: dict[str, Any]) -> Table:
 
 
 def _find_hourly(row: dict[str, Any]) -> dict[str, Any]:
-    share = wilson(row["alarms"], row["runs"])
+    share = clopper_pearson(row["alarms"], row["runs"])
     return {end: hourly_rate(getattr(share, end), row["window_s"]) for end in share.as_json()}
 
 

@@ -23,6 +23,7 @@ from spoofgym.bench.report.campaign import groups
 from spoofgym.bench.report.campaign_page import picture_displacements
 from spoofgym.bench.report.figures import save_drawing
 from spoofgym.bench.report.table import Table, interval, metres
+from spoofgym.bench.report.tasks import stored_detector_cards
 from spoofgym.bench.runs.record import MEASURES
 from spoofgym.bench.scores.campaign import HALF, headline
 from tools.headlines import DATA_FILE as FULL
@@ -32,6 +33,7 @@ from tools.pages import DOCS, ROOT, put_between, render_page
 README, SHARED, DRAWN = ROOT / "README.md", DOCS / "bench.json", DOCS / "campaign.png"
 START, END = "<!-- bench:start -->", "<!-- bench:end -->"
 RESIDUAL, LEARNED = DOCS / "residual.json", DOCS / "learned.json"
+HOLDOUTS = DOCS / "holdouts.json"
 SHOWN = {
     "solution-separation(filter=augmented,spacing=geometric)": "solution separation, own filter",
     "solution-separation(spacing=geometric)": "solution separation, same filter",
@@ -71,6 +73,8 @@ def shown(world: dict[str, Any], residual: dict[str, Any], learned: dict[str, An
     values = {"table": table.markdown(SHOWN), "over": OVER, "policies": policies}
     values["learned"] = [_describe_learned(*each) for each in residual["detectors"].items()]
     values["gains"] = [_describe_gain(x, learned) for x in SHOWN if x in policies]
+    values["counted"] = _count_false_alarms()
+    values["audited"] = _find_audited()
     values["whole"] = metres(cells["never", "ramp"]["stealthy_displacement_m"]["value"])
     return render_page("bench.md.j2", world=world, **values)
 
@@ -87,11 +91,23 @@ def choose_policies(learned: dict[str, Any]) -> dict[str, Any]:
 
 
 def _describe_gain(detector: str, learned: dict[str, Any]) -> str:
-    """How far the shown policy gets over its base, and those of all seeds that were kept."""
+    """How far the policy of every seed that was kept gets over its base."""
     seeds = [each["ratio"] for each in list_policies(learned) if each["detector"] == detector]
-    low, *_, high = sorted(each["value"] for each in [*seeds, seeds[0]])
-    ratio = interval(choose_policies(learned)[detector]["ratio"], 2)
-    return f"{SHOWN[detector]} {ratio} ({len(seeds)} seeds: {low:.2f} to {high:.2f})"
+    return f"{SHOWN[detector]} {' and '.join(interval(each, 2) for each in seeds)}"
+
+
+def _count_false_alarms() -> dict[str, Any]:
+    """Least and largest rate [per hour] of the shown detectors on the fresh runs of a hold-out."""
+    rows = json.loads(HOLDOUTS.read_text())["tasks"][0]["detectors"]
+    found = [each["per_hour"] for each in rows if each["name"] in SHOWN]
+    return {"runs": f"{rows[0]['runs']:,}", "low": min(found), "high": max(found)}
+
+
+def _find_audited() -> str:
+    """What the worst attack of D1 exceeds in half of the runs against its best detector [m]."""
+    card = stored_detector_cards()["D1"]
+    (best,) = (x for x in card["detectors"] if x["detector"] == card["best_classic"])
+    return f"{best['exceeded_m']['0.5']['value']:.0f}"
 
 
 def _describe_learned(detector: str, found: dict[str, Any]) -> str:

@@ -38,7 +38,7 @@ class AuditOptions:
     )
     family: list[str] | None = Option(
         None,
-        help="Family of attacks, may be repeated; `spoofgym list D1 --json` names those of D1. "
+        help="Family of attacks, may be repeated: those that `spoofgym list D1` names, or shipped. "
         "Default: all of the task.",
     )
     runs: int | None = Option(

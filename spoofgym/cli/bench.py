@@ -195,11 +195,14 @@ def report(
     if kind not in pages:
         raise ValueError(f"{folder} holds the experiment {kind!r}, which has no report")
     scores = load_output(store)
-    written = write_page(store, pages[kind](store, scores, load_replay(store)))
+    page = pages[kind](store, scores, load_replay(store))
+    written = write_page(store, page)
     if as_json:
         print_json(scores)
     else:
         print_written(written)
+        if page.missing:
+            typer.echo(f"not finished: {', '.join(page.missing)}")
 
 
 def _print_fits(searches: list[TuningResult], as_json: bool) -> None:

@@ -42,8 +42,8 @@ def demo(
         print_json({"runs": runs, "picture": written})
         return
     lines = [
-        f"A spoofer pulls an aircraft's position aside by {RATE_MPS} m/s; both detectors have "
-        f"{RATE} false alarms an hour.",
+        f"In the papers' world, {SCENARIO}, a spoofer pulls an aircraft's position aside by "
+        f"{RATE_MPS} m/s; both detectors have {RATE} false alarms an hour.",
         *map(_describe, runs),
         *([f"Picture: {written}"] if written else ()),
         f"Next: {NEXT}",

@@ -10,6 +10,7 @@ import struct
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
@@ -94,6 +95,14 @@ def list_children(process: int) -> list[int]:
     return found
 
 
+def count_family(process: int, most: int) -> int:
+    """Number of processes below one, counted up to some more than `most`."""
+    found = [process]
+    for each in found:  # which grows meanwhile
+        found += list_children(each) if len(found) <= most + 1 else []
+    return len(found) - 1
+
+
 def end_family(process: int) -> None:
     """Kill the leader of a group, all of the group, and what it has adopted of other sessions."""
     with suppress(ProcessLookupError):
@@ -111,11 +120,14 @@ def end_family(process: int) -> None:
 
 GENERATIONS = 100
 """Of a process that forks and ends, which are followed."""
+WATCH_S = 0.2
+"""How often a process that others wait for is looked at."""
 
 
 class Channel:
     """Messages of bytes over a socket. `receive`: a TimeoutError after `limit_s`, an EOFError once
-    the other side has ended; the reader of a message must not trust it."""
+    the other side has ended, `watch` is called while it waits; the reader of a message must not
+    trust it."""
 
     def __init__(self, own: socket.socket) -> None:
         self.socket = own
@@ -124,21 +136,27 @@ class Channel:
         self.socket.settimeout(limit_s)
         self.socket.sendall(struct.pack("I", len(content)) + content)
 
-    def receive(self, limit_s: float | None = None) -> bytes:
+    def receive(
+        self, limit_s: float | None = None, watch: Callable[[], None] = lambda: None
+    ) -> bytes:
         end = None if limit_s is None else time.monotonic() + limit_s
-        (size,) = struct.unpack("I", self._read(4, end))
+        (size,) = struct.unpack("I", self._read(4, end, watch))
         if size > LONGEST:
             raise EOFError(f"a message of {size} bytes")
-        return self._read(size, end)
+        return self._read(size, end, watch)
 
-    def _read(self, size: int, end: float | None) -> bytes:
+    def _read(self, size: int, end: float | None, watch: Callable[[], None]) -> bytes:
         parts = bytearray()
         while len(parts) < size:
             left = None if end is None else end - time.monotonic()
             if left is not None and left <= 0.0:
                 raise TimeoutError
-            self.socket.settimeout(left)
-            part = self.socket.recv(min(size - len(parts), 1 << 20))
+            self.socket.settimeout(None if left is None else min(left, WATCH_S))
+            try:
+                part = self.socket.recv(min(size - len(parts), 1 << 20))
+            except TimeoutError:
+                watch()
+                continue
             if not part:
                 raise EOFError("the other side has ended")
             parts += part

@@ -10,6 +10,9 @@ from typing import Any, NoReturn
 
 PROGRAM = "spoofgym"
 OLDEST_PYTHON = 3, 11
+NUMPY_ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "NUMPY_MADVISE_HUGEPAGE": "0"}
+"""Other threads would wait longer than small products take; of large pages those parts of a world
+that nothing needs would take memory, too."""
 
 
 def is_program() -> bool:
@@ -28,9 +31,10 @@ def check_python() -> None:
 
 def start_program() -> None:
     """Until `cli.app.main` takes over, let Ctrl-C end the program in one line, and not in whatever
-    import it meets; NumPy has one thread, as others wait longer than small products take."""
+    import it meets; NumPy takes what pays here."""
     if is_program():
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        for name, value in NUMPY_ENVIRONMENT.items():
+            os.environ.setdefault(name, value)
         if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
             signal.signal(signal.SIGINT, _end)
 

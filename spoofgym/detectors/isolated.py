@@ -14,6 +14,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 import weakref
 from collections.abc import Mapping
 from mmap import mmap
@@ -23,14 +24,21 @@ import cloudpickle
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.children import Channel, child_environment, end_family, open_shared_file
+from ..core.children import (
+    WATCH_S,
+    Channel,
+    child_environment,
+    count_family,
+    end_family,
+    open_shared_file,
+)
 from ..core.declared import setting, settings_record
 from ..core.memory import Memory
 from ..core.registry import require
 from ..receiver.epoch import Epoch
 from .base import BoolArray, Detector, DetectorContext, FloatArray, Verdict
 from .build import split_spec
-from .calibrated import Calibrated
+from .calibrated import Calibrated, name_kind
 from .pool import PooledDetector
 
 PROGRAM = "spoofgym.detectors.isolated_child"
@@ -39,6 +47,8 @@ ISOLATED = "spoofgym.detectors.isolated:Isolated"
 WORDS = ("paper", "scope", "measures", "label")
 LONGEST_WORDS = 2000
 """Characters of what a process says of a failure."""
+PROCESSES = 256
+"""That a detector may have at a time, beside one for each batch."""
 FLAGS = (
     *("oracle", "drifts", "calibrates", "draws", "alarm_is_state"),
     *("has_nominal", "from_start", "needs_model"),
@@ -47,13 +57,14 @@ FLAGS = (
 
 
 class IsolationError(RuntimeError):
-    """A detector in a process of its own raised, judged badly, took too long or ended.
+    """A detector in a process of its own raised, judged badly, took too long, ended, or has
+    started too many others.
 
     Parameters
     ----------
     message : str
         Epoch, receiver, detector, and what it did.
-    reason : {"raises", "hangs", "ends"}
+    reason : {"raises", "hangs", "ends", "forks"}
         What it did, in a word.
     time_s : float, optional
         Epoch at which it did; None before the first one.
@@ -79,7 +90,7 @@ class _Host:
     )
     starting: ClassVar[threading.RLock] = threading.RLock()
 
-    def __init__(self, content: bytes, limit_s: float) -> None:
+    def __init__(self, content: bytes, limit_s: float, name: str) -> None:
         own, other = socket.socketpair()
         self.process = subprocess.Popen(
             [sys.executable, "-m", PROGRAM, str(other.fileno())],
@@ -92,27 +103,40 @@ class _Host:
         other.close()
         self.channel = Channel(own)
         self.end = weakref.finalize(self, _end_host, self.process, own, os.getpid())
+        self.batches: weakref.WeakSet[Channel] = weakref.WeakSet()
+        self._seen = 0.0
         try:
-            self.traits = _ask(self.channel, content, limit_s, "a detector that is loaded")
+            self.traits = _ask(self.channel, content, limit_s, f"{name}, when loaded,", self)
         except BaseException:
             self.end()
             raise
 
     @classmethod
-    def find(cls, content: bytes, limit_s: float) -> _Host:
+    def find(cls, content: bytes, limit_s: float, name: str) -> _Host:
         """The process of a detector, started if there is none."""
         key = os.getpid(), content
         with cls.starting:
             found = cls.running.get(key)
             if found is None or not found.end.alive:
-                found = cls.running[key] = cls(content, limit_s)
+                found = cls.running[key] = cls(content, limit_s, name)
         return found
 
     def fork(self, memory: int) -> Channel:
         own, other = socket.socketpair()
         with other, self.starting:
             socket.send_fds(self.channel.socket, [b"f"], [other.fileno(), memory])
-        return Channel(own)
+        channel = Channel(own)
+        self.batches.add(channel)
+        return channel
+
+    def watch(self) -> None:
+        """Refuse what has started too many processes, now and then."""
+        if time.monotonic() < self._seen + WATCH_S:
+            return
+        most = PROCESSES + len(self.batches)
+        if count_family(self.process.pid, most) > most:
+            raise ChildProcessError(f"has more than {PROCESSES} processes")
+        self._seen = time.monotonic()
 
 
 def _end_host(process: subprocess.Popen[bytes], channel: socket.socket, parent: int) -> None:
@@ -127,6 +151,7 @@ def _ask(
     content: bytes,
     limit_s: float,
     name: str,
+    host: _Host,
     epoch: Epoch | None = None,
     raw: bool = False,
 ) -> Any:
@@ -136,10 +161,13 @@ def _ask(
     at = "" if epoch is None else f"epoch at {time_s:g} s"
     try:
         channel.send(content, limit_s)
-        answer = channel.receive(limit_s)
+        answer = channel.receive(limit_s, host.watch)
+        host.watch()
     except TimeoutError:
         message = f"{at}{receivers}{name} took longer than {limit_s:g} s"
         raise IsolationError(message, "hangs", time_s) from None
+    except ChildProcessError as many:
+        raise IsolationError(f"{at}{receivers}{name} {many}", "forks", time_s) from None
     except (EOFError, OSError):
         message = f"{at}{receivers}{name} ended its process"
         raise IsolationError(message, "ends", time_s) from None
@@ -172,7 +200,7 @@ class _Bound:
     def _open(self) -> None:
         self._parent, self._judged = os.getpid(), False
         self._shapes: dict[str, tuple[str, tuple[int, ...]]] = {}
-        self._host = _Host.find(self._content, self._limits[1])
+        self._host = _Host.find(self._content, self._limits[1], self._name)
         self._file = open_shared_file()
         self.channel = self._host.fork(self._file.fileno())
         self.end = weakref.finalize(self, _close_all, self.channel.socket, self._file)
@@ -203,7 +231,7 @@ class _Bound:
         limit_s, content = self._limits[not self._judged], pickle.dumps((work, *given))
         self.failure = IsolationError(f"{self._name} was stopped", "hangs")  # as by Ctrl-C
         try:
-            answer = _ask(self.channel, content, limit_s, self._name, epoch, raw)
+            answer = _ask(self.channel, content, limit_s, self._name, self._host, epoch, raw)
             self._judged, self.failure = self._judged or work == "judge", None
         except IsolationError as error:
             self.failure = error
@@ -211,7 +239,7 @@ class _Bound:
         finally:
             if self.failure is not None:
                 self.end()
-                if self.failure.reason == "hangs":  # nothing else ends what no longer listens
+                if self.failure.reason in ("hangs", "forks"):  # nothing else ends what goes on
                     self._host.end()
         return answer
 
@@ -313,7 +341,9 @@ class Isolated(Detector):
                 f"`detector` must be a Detector that is not calibrated, or its spec, got {given!r}"
             )
         self._content = cloudpickle.dumps(given)
-        self._host = _Host.find(self._content, self.start_limit_s)
+        spec = given if isinstance(given, Mapping) else {"name": given}
+        name = name_kind(type(given)) if isinstance(given, Detector) else str(spec.get("name"))
+        self._host = _Host.find(self._content, self.start_limit_s, name)
         self._traits = self._host.traits
         for name in (*WORDS, *FLAGS):
             setattr(self, name, (str if name in WORDS else bool)(self._traits[name]))
@@ -326,7 +356,7 @@ class Isolated(Detector):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._host = _Host.find(self._content, self.start_limit_s)
+        self._host = _Host.find(self._content, self.start_limit_s, str(self.label))
 
     def identity(self) -> Any:
         """As `describe_identity` has it of the detector itself."""

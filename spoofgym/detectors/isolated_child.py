@@ -60,6 +60,17 @@ def describe_traits(detector: Detector) -> dict[str, Any]:
     }
 
 
+def locate_error(error: BaseException) -> str:
+    """An error with its line of the detector's code."""
+    frames = [
+        each
+        for each in traceback.extract_tb(error.__traceback__)
+        if f"{os.sep}spoofgym{os.sep}" not in each.filename and each.filename[:1] != "<"
+    ]
+    line = f" ({os.path.basename(frames[-1].filename)}:{frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {str(error)[: LONGEST_WORDS - 200]}{line}"
+
+
 class Server:
     """A detector of one batch, and what the parent can have it do."""
 
@@ -148,16 +159,7 @@ class Server:
         row = int(found[1]) if found else None
         if work == "judge" and isinstance(error, Exception) and row is None:
             row = self.find_receiver(type(error))
-        frames = [
-            each
-            for each in traceback.extract_tb(error.__traceback__)
-            if os.sep + "spoofgym" + os.sep not in each.filename
-        ]
-        line = f" ({os.path.basename(frames[-1].filename)}:{frames[-1].lineno})" if frames else ""
-        return {
-            "error": f"{type(error).__name__}: {str(error)[: LONGEST_WORDS - 200]}{line}",
-            "receiver": row,
-        }
+        return {"error": locate_error(error), "receiver": row}
 
     def find_receiver(self, kind: type[Exception]) -> int | None:
         """The one receiver that makes the detector fail, as it is now; None where there is none."""
@@ -197,7 +199,7 @@ def serve_host(channel: Channel) -> None:
         detector = given if isinstance(given, Detector) else bare_detector(given)
         answer = b"=" + json.dumps(describe_traits(detector)).encode()
     except BaseException as error:
-        channel.send(b"!" + json.dumps({"error": f"{type(error).__name__}: {error}"}).encode())
+        channel.send(b"!" + json.dumps({"error": locate_error(error)}).encode())
         return
     channel.send(answer)
     load_kernels()

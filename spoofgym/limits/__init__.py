@@ -2,7 +2,7 @@
 
 - `compute_frontier`: the floor, the displacement that even a perfect detector would allow;
 - `power`, `deflection_for`: what the best possible test can do;
-- `compute_zero_alarm`: what no attack exceeds in the mean without an alarm of its own doing;
+- `compute_zero_alarm`: what no attack exceeds in the mean without raising an alarm itself;
 - `Replay`: response replay, by which passive detectors judge any open-loop attack.
 """
 

@@ -182,7 +182,7 @@ class LogReplay(LinearReplay):
         return LinearRun(transition, design, gain, S, log.visible[rows], axes)
 
     def bound_zero_alarm(self) -> ZeroAlarm:
-        """What no attack exceeds in the mean without an alarm of its own doing, over some windows,
+        """What no attack exceeds in the mean without raising an alarm itself, over some windows,
         were the clean innovations those of mean zero; restricted: within the limit of the rate."""
         heading = float(self.heading[0])
         direction = math.cos(heading), math.sin(heading)

@@ -200,7 +200,8 @@ class Epoch(NamedTuple):
     Attributes
     ----------
     time, interval : ndarray
-        (B,) time of the epoch and time since the last one [s].
+        (B,) time of the epoch and time since the last one [s], 0.5 s unless the world says
+        otherwise.
     innovation : ndarray
         (B, m) z, measured minus predicted [m], [m/s].
     innovation_variance : ndarray
@@ -211,17 +212,18 @@ class Epoch(NamedTuple):
     predicted_position, predicted_velocity : ndarray
         (B, 3) before the update, ECEF [m], [m/s].
     innovation_cov : ndarray or None
-        (B, m, m) S.
+        (B, m, m) S, with which the normalized innovation squared is z' S^-1 z.
     predicted_cov : ndarray or None
         (B, s, s) P before the update, of the s errors x of the prediction.  A tightly coupled
         receiver has 17, and after them those of `receiver.augmented` where it is tuned so: attitude
         [rad], velocity [m/s], position [m] (ECEF axes, estimate minus truth), biases of
-        accelerometers [m/s^2] and gyros [rad/s] (body axes), clock bias [m] and drift [m/s] (truth
-        minus estimate).
+        accelerometers [m/s^2] and gyros [rad/s] (body axes), clock bias [m] and drift [m/s]: note
+        the opposite sign, truth minus estimate.
     design : ndarray or None
         (B, m, s) H, by which these errors shift the innovation: z = H x + noise.
     transition : ndarray or None
-        (B, s, s) Phi: x = Phi x + noise from the last update to this prediction.
+        (B, s, s) Phi, by which they grow from the last update to this prediction: x(k, predicted) =
+        Phi x(k - 1, updated) + noise.
     imu_delta : ndarray or None
         (B, 6) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval, body axes.
     pseudorange, range_rate : ndarray or None
@@ -233,7 +235,8 @@ class Epoch(NamedTuple):
     auxiliary_position : ndarray or None
         (B, 3) position by odometry.
     cn0_dbhz : ndarray or None
-        (B, n) carrier-to-noise density.
+        (B, n) carrier-to-noise density [dB-Hz]; no receiver here has it: a detector that needs it
+        is refused.
     weights : ndarray or None
         (B, m) with which the last epoch was updated, ones before the first: the feedback of the
         filter was P H' S^-1 W z of that epoch.

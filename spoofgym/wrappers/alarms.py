@@ -13,7 +13,14 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..bench.scores.statistics import Estimate, bootstrap_mean, draw_resamples, interval, wilson
+from ..bench.scores.statistics import (
+    Estimate,
+    bootstrap_mean,
+    clopper_pearson,
+    draw_resamples,
+    interval,
+    wilson,
+)
 from ..detectors.calibration_file import hourly_rate
 from ..envs.factory import composable
 from .single import SingleWrapper
@@ -22,7 +29,8 @@ Observation = NDArray[np.float32]
 
 
 class AlarmSummary(NamedTuple):
-    """What an `AlarmRecorder` has found; all but the counts with 95 % intervals.
+    """What an `AlarmRecorder` has found; all but the counts with 95 % intervals (of false alarms
+    exact ones, of `missed` Wilson's).
 
     Attributes
     ----------
@@ -116,7 +124,8 @@ class AlarmLog:
         attacked, false = past[:, 0] > 0.0, past[:, 1] > 0.0
         valid = past[attacked & ~false]
         delays = valid[~np.isnan(valid[:, 2]), 2]
-        rate, mean_s = wilson(int(false.sum()), len(past)), past[:, 4].mean() if len(past) else 0.0
+        rate = clopper_pearson(int(false.sum()), len(past))
+        mean_s = past[:, 4].mean() if len(past) else 0.0
         hourly = [hourly_rate(p, mean_s) if mean_s else math.nan for p in rate]
         return AlarmSummary(
             clean=int((~attacked).sum()),

@@ -144,9 +144,11 @@ FLOOR = {"half": {"value": 20.0}, "few": {"value": 30.0}}
 @pytest.mark.parametrize(
     ("audit", "message"),
     [
+        (audit_of(broken="breaks the contract: `needs`"), "breaks the contract: `needs`"),
         (audit_of(alike=False), "two calls on the same epochs differ"),
         (audit_of(alarms=1.0), "alarms in every run, with an attack and without one"),
         (audit_of(found=0.0), "never alarms, with an attack or without one"),
+        (audit_of(alarms=0.4), "alarms since switch-on in 40 % of the runs without an attack"),
         (audit_of(alarms=0.1), "false alarms 2.4 (1.1 to 4.4) an hour, above the 0.2"),
         (
             audit_of(events={"front": np.arange(RUNS) < 50}),
@@ -287,10 +289,11 @@ def test_what_no_run_can_do_without_is_checked_before_anything_plays():
     said = []
     with pytest.raises(ValueError, match=r"Flat: on .*`statistic` must have shape \(5, 1\)"):
         module.check_contract(Flat, said.append)
-    assert module.check_contract(Whim, said.append) is Whim
-    assert module.check_contract("never", said.append) == "never"
-    (text,) = said
-    assert text.startswith("Whim breaks the contract of detectors, and is audited as it is: When")
+    given, broken = module.check_contract(Whim, said.append)
+    assert given is Whim
+    assert module.check_contract("never", said.append) == ("never", None)
+    assert broken.startswith("breaks the contract of detectors, and is audited as it is: When")
+    assert said == [f"Whim {broken}"]
 
 
 def test_a_quick_audit_scales_everything():

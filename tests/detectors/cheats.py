@@ -165,7 +165,7 @@ class Memorizer(Outsider):
 
 WAYS = (
     *("raises", "nan", "shape", "undeclared", "leaves", "quits", "truncates", "lies"),
-    *("forks", "hangs", "writes"),
+    *("forks", "swarms", "hangs", "writes"),
 )
 FIRST_WAY = 1000
 """In the second innovation of all receivers: one process, which starts slowly, has all ways."""
@@ -241,6 +241,13 @@ class Fails(Outsider):
             if os.fork() == 0:
                 time.sleep(60.0)
             os._exit(0)
+        return verdict
+
+    def swarms(self, epoch, verdict):
+        for _ in range(9):
+            if os.fork() == 0:
+                time.sleep(60.0)
+                os._exit(0)
         return verdict
 
     def prints(self, epoch, verdict):

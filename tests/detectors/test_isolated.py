@@ -18,7 +18,7 @@ import pytest
 from spoofgym.bench.runs.panel import generators
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.core.children import confine_process, list_children
-from spoofgym.detectors import Calibrated, Never, PooledDetector, make_detector
+from spoofgym.detectors import Calibrated, Never, PooledDetector, isolated, make_detector
 from spoofgym.detectors.base import has_protection_level
 from spoofgym.detectors.calibrated import describe_identity
 from spoofgym.detectors.isolated import ISOLATED, Isolated, IsolationError, is_foreign, isolate
@@ -231,6 +231,19 @@ def test_a_detector_that_forks_judges_all_the_same(failing):
     check_judges_all_the_same(copy.copy(failing), failing_epochs("forks"))
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="no /proc says how many there are")
+def test_one_that_starts_ever_more_processes_is_ended_with_them(failing, monkeypatch):
+    monkeypatch.setattr(isolated, "PROCESSES", 20)
+    monkeypatch.setattr(isolated, "WATCH_S", 0.0)
+    detector = copy.copy(failing)
+    with pytest.raises(IsolationError, match="Fails has more than 20 processes") as found:
+        judged(detector, failing_epochs("swarms"))
+    assert (found.value.reason, found.value.time_s) == ("forks", 2.0)
+    time.sleep(0.2)
+    with pytest.raises(ProcessLookupError):
+        os.killpg(detector._bound._host.process.pid, 0)
+
+
 def test_a_detector_that_prints_judges_all_the_same(capfd):
     check_judges_all_the_same(Isolated({"name": FAILS, "how": "prints"}), epochs())
     shown = capfd.readouterr()
@@ -258,5 +271,6 @@ def test_its_processes_and_on_linux_copies_in_a_session_of_their_own_end_with_it
 
 
 def test_a_detector_that_cannot_be_loaded_says_why():
-    with pytest.raises(IsolationError, match="there is no module 'no_such_module'"):
+    words = "no_such_module:Guard, when loaded, raises .* there is no module 'no_such_module'"
+    with pytest.raises(IsolationError, match=words):
         Isolated("no_such_module:Guard")

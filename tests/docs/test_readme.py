@@ -79,7 +79,7 @@ def test_it_is_short_and_its_figures_are_those_of_the_stored_results(full):
     assert len(README.splitlines()) <= 120
     (row,) = re.findall(r"\| D1 \| solution-sep.*augmented.*", text_of("submit.md"))
     audited = float(row.split("|")[4].split()[0])
-    assert f"best detector holds the worst attack to {audited:.0f} m" in README
+    assert f"with its own filter, allows {audited:.0f} m" in README
     best = headline(full["protection"][2], 0.5)["value"]
     assert best == min(headline(row, 0.5)["value"] for row in full["protection"])
     _, rows = part_between(README, START, END).split("|---|---|---|---|---|")

@@ -51,7 +51,7 @@ class Auditor(AuditPlan):
     ) -> AuditCells:
         """Cells of a detector, which is checked and calibrated first; `say` is given how long that
         and the audit take."""
-        detector = check_contract(detector, say)
+        detector, broken = check_contract(detector, say)
         judge = detector_in_world(detector)  # whose process all below share
         worlds, world = self.worlds, self.worlds.world.setup
         (entry,) = specify_detectors([detector])
@@ -62,7 +62,7 @@ class Auditor(AuditPlan):
                 " is stored and serves all later audits"
             )
         calibrate_players(worlds.world, [entry], threads=worlds.threads, progress=show)
-        cells = AuditCells(self, worlds.build_detectors([detector]))
+        cells = AuditCells(self, worlds.build_detectors([detector]), broken=broken)
         epochs = sum(cell.work for cell in cells.cells()) * (world.steps + world.hold)
         minutes = OVERHEAD * epochs * whole_us / 6e7
         say(

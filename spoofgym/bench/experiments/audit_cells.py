@@ -111,12 +111,13 @@ class AuditPlan:
 class AuditCells(Experiment):
     """Worst attacks of every family on detectors, which share passes where they only look, their
     false alarms, what they find at several ages, and the floor. `scores_only`: without the last
-    two."""
+    two; `broken`: the first rule of the contract that the first detector breaks."""
 
     name: ClassVar[str] = "audit"
     of: AuditPlan
     detectors: Sequence[ScoredDetector]
     scores_only: bool = False
+    broken: str | None = None
 
     @property
     def config(self) -> dict[str, Any]:
@@ -332,6 +333,7 @@ class AuditCells(Experiment):
             floor_m=limits.get("floor_m"),
             reference=self._find_reference(),
             cost_us=self.of.worlds.measure_cost(first.judge, size.ages)[0],
+            broken=self.broken,
         )
         write_attacks(self.of.folder, found)
         return found

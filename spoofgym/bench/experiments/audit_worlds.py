@@ -103,15 +103,16 @@ def find_trained_holdout(judge: Detector, task: DetectorTask) -> str | None:
     return met if met in {family.key for family in task.held_out} else None
 
 
-def check_contract(detector: Any, say: Callable[[str], None]) -> Any:
+def check_contract(detector: Any, say: Callable[[str], None]) -> tuple[Any, str | None]:
     """A detector to audit: a foreign one that is given as text in a process of its own. What no run
-    can do without is checked at once; of other promises that it breaks `say` is given the first."""
+    can do without is checked at once; of other promises that it breaks the first is returned, and
+    given to `say`."""
     from ...testing.detector import check_detector, check_verdicts
 
     given = isolate(detector) if isinstance(detector, str | Mapping) else detector
     judge = bare_detector(given)
     if judge.card is None and not is_foreign(judge if isinstance(detector, type) else detector):
-        return given
+        return given, None
     name = judge.label or type(judge).__name__
     try:
         check_verdicts(judge)
@@ -120,8 +121,10 @@ def check_contract(detector: Any, say: Callable[[str], None]) -> Any:
     try:
         check_detector(judge)
     except (AssertionError, RuntimeWarning) as error:
-        say(f"{name} breaks the contract of detectors, and is audited as it is: {error}")
-    return given
+        broken = f"breaks the contract of detectors, and is audited as it is: {error}"
+        say(f"{name} {broken}")
+        return given, broken
+    return given, None
 
 
 class Worlds:

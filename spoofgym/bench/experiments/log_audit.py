@@ -125,13 +125,13 @@ class LogAuditor:
         say: Callable[[str], None] = lambda _: None,
     ) -> LogAudit:
         """Cells of a detector, with thresholds of the log's own windows."""
-        spec = check_contract(detector, say)
+        spec, broken = check_contract(detector, say)
         rate = self.requested_per_hour or find_requested_rate(detector_in_world(spec))
         factor = 1.0
         if rate is not None:
             window_s = self.times["attack_s"] + self.times["time_to_alert_s"]
             factor = judge_log(self.log, [spec], rate, window_s)[0].factor
-        return LogAudit(self, spec, specify_detector(spec).label, rate, factor)
+        return LogAudit(self, spec, specify_detector(spec).label, rate, factor, broken)
 
 
 @dataclass(frozen=True)
@@ -144,6 +144,7 @@ class LogAudit(Experiment):
     label: str
     requested_per_hour: float | None
     factor: float
+    broken: str | None = None
 
     @property
     def config(self) -> dict[str, Any]:
@@ -285,6 +286,7 @@ class LogAudit(Experiment):
             floor_m=None,
             reference=None,
             cost_us=every.replay.cost_us,
+            broken=self.broken,
         )
         write_attacks(self.of.folder, audit)
         return audit

@@ -109,7 +109,9 @@ class Store:
         """Read what is there, whatever code has made it; returns the config of the experiment, by
         default of any."""
         if not (self.path / CONFIG).is_file():
-            raise ValueError(f"{self.path} holds no results: there is no {CONFIG}")
+            inside = sorted(str(each.parent) for each in self.path.glob(f"*/{CONFIG}"))
+            hint = f"; {', '.join(inside[:SHOWN])} has one" if inside else ""
+            raise ValueError(f"{self.path} holds no results: there is no {CONFIG}{hint}")
         self._config = self._read_config(experiment)
         return dict(self._config["config"])
 

@@ -52,11 +52,15 @@ def build_scores_page(
     records = [] if scores is None else scores["detectors"]
     played = {(row["detector"], row["family"]) for row in rows}
     task = DETECTOR_TASKS.get(config["task"])
-    keys = [] if task is None or records else [each.key for each in task.families]
+    keys = [] if task is None else [each.key for each in task.families]
+    if records:  # a part of the families may have been played
+        keys = [each["family"] for each in records[-1]["families"]]
+    begun = [each for each in found if each not in {record["detector"] for record in records}]
+    missing = [f"{each} / {key}" for each in begun for key in keys if (each, key) not in played]
     return Page(
-        title=f"{config['task']}: {', '.join(found)}",
+        title=": ".join(filter(None, (config["task"], ", ".join(found)))),
         verdict=[line for record in records for line in write_score_verdict(record)] or [UNSCORED],
-        missing=[f"{each} / {key}" for each in found for key in keys if (each, key) not in played],
+        missing=missing if found else keys,
         pictures=list_score_pictures(found, rows, records, limit_m),
         sheets=[
             Sheet("Detectors", DETECTOR_SCORES, records),

@@ -191,7 +191,10 @@ DETECTOR_TASK_LIST = Table(
     ("suite", lambda row: row[1].suite),
     ("environment of a learner", lambda row: row[1].env_id),
     ("world", lambda row: row[1].title),
-    ("families that are held out", lambda row: ", ".join(family.key for family in row[1].held_out)),
+    (
+        "families of attacks, * held out from training",
+        lambda row: ", ".join(each.key + "*" * each.held_out for each in row[1].families),
+    ),
 )
 
 

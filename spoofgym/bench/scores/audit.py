@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...detectors.calibrated import NOISY_WARMUP
 from ...detectors.calibration_file import run_probability
 from ..runs.record import MEASURES, Aim, Mask, Protection
 from .detector import CLEAN, WINDOW, DetectorScore, FamilyScore
@@ -128,7 +129,8 @@ class AgeProbe(NamedTuple):
 class Audit:
     """Audit of one detector in one task: `requested_per_hour`, None for thresholds of its own;
     `floor_m` that even a perfect detector allows, by purpose, and `reference`, figures of the best
-    non-learned one, None where not known; `cost_us`: time for an epoch of a receiver [us]."""
+    non-learned one, None where not known; `cost_us`: time for an epoch of a receiver [us];
+    `broken`: the first rule of the contract of detectors that it breaks."""
 
     score: DetectorScore
     title: str
@@ -138,6 +140,7 @@ class Audit:
     floor_m: Mapping[str, Any] | None
     reference: Mapping[str, Any] | None
     cost_us: float
+    broken: str | None = None
 
     @cached_property
     def figures(self) -> dict[str, Any]:
@@ -166,6 +169,8 @@ class Audit:
 
     def _warn(self) -> Iterator[str]:
         score, probe = self.score, self.probe
+        if self.broken is not None:
+            yield self.broken
         if not probe.alike:
             yield "two calls on the same epochs differ: the figures are those of one call"
         if score.false_alarms[CLEAN].all():
@@ -188,6 +193,11 @@ class Audit:
                     f"{self.requested_per_hour:g} that it is calibrated to"
                 )
         usual = score.false_alarm_rate(CLEAN)
+        if usual.low > NOISY_WARMUP and usual.value < 1.0:
+            yield (
+                f"alarms since switch-on in {100.0 * usual.value:.0f} % of the runs without an "
+                "attack: all else is of the others"
+            )
         words = []
         for name in (each for each in alarms if each not in (WINDOW, CLEAN)):
             rate = score.false_alarm_rate(name)

@@ -3,7 +3,7 @@
 The floor is what even a perfect detector would allow at the same rate of false alarms, for what
 each figure requires: to miss an attack that keeps the alarm budget, to find half of the attacks,
 or 95 % of them.  It is the same for all detectors.  The zero-alarm bound is what no attack exceeds
-in the mean without an alarm of its own doing.  Between them lies what was found.
+in the mean without raising an alarm itself.  Between them lies what was found.
 """
 
 from __future__ import annotations
