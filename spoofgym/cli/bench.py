@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from ..bench.experiments import Reader
     from ..bench.experiments.campaign import CampaignResults
     from ..bench.experiments.suite import Suite
-    from ..bench.search.amplitude import TuningResult
 
 WIDTH = 100
 """Characters of a line of the answer."""
@@ -154,7 +153,7 @@ def bench(
         )
     )
     if fit_only:
-        _print_fits([*results.searches.values()], as_json)
+        _print_fits([search.as_dict() for search in results.searches.values()], as_json)
     else:
         _report(results, as_json, reports, verbose, suite, named=bool(spoofer))
 
@@ -205,15 +204,14 @@ def report(
             typer.echo(f"not finished: {', '.join(page.missing)}")
 
 
-def _print_fits(searches: list[TuningResult], as_json: bool) -> None:
+def _print_fits(searches: list[dict[str, Any]], as_json: bool) -> None:
     """Print what was tried for every pair."""
     from ..bench.report.campaign import print_search
 
     if as_json:
-        print_json([search.as_dict() for search in searches])
-        return
-    for search in searches:
-        print_search(search.as_dict())
+        print_json(searches)
+    for search in () if as_json else searches:
+        print_search(search)
 
 
 def _report(

@@ -220,16 +220,9 @@ def _of_stable_baselines(model: Any, policy: Any) -> Function:
     """Deterministic action of a policy, without what `predict` repeats at every call."""
     refuse_state(policy)
     torch: Any = sys.modules["torch"]
-    if not hasattr(policy.action_space, "low"):
-        raise ValueError(
-            f"actions must be a Box within -1 and 1, but the model's are {policy.action_space}"
-        )
-    low = np.asarray(policy.action_space.low, dtype=np.float64)
-    high = np.asarray(policy.action_space.high, dtype=np.float64)
-    if not (np.allclose(low, -1.0) and np.allclose(high, 1.0)):
-        raise ValueError(
-            f"actions must be within -1 and 1, but the model's are {policy.action_space}"
-        )
+    space = policy.action_space
+    if not all(np.allclose(getattr(space, x, np.nan), y) for x, y in (("low", -1), ("high", 1))):
+        raise ValueError(f"actions must be a Box within -1 and 1, but the model's are {space}")
 
     def act(seen: NDArray[np.float32]) -> Any:
         wanted = policy.observation_space.shape

@@ -87,17 +87,8 @@ class SpooferScore:
         return percentiles(float(mine.sum()) / base if base else math.nan, drawn)
 
     def as_dict(self) -> dict[str, Any]:
-        plain = (
-            "task",
-            "world",
-            "detector",
-            "spoofer",
-            "knowledge",
-            "setting",
-            "value",
-            "runs",
-            "counted",
-        )
+        players = ("task", "world", "detector", "spoofer", "knowledge")
+        plain = (*players, "setting", "value", "runs", "counted")
         return {
             **{name: getattr(self, name) for name in plain},
             "stealthy_displacement_m": self.stealthy_displacement_m.as_json(),
