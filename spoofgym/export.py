@@ -56,8 +56,8 @@ from .spoofers.learned import (
     make_function,
     name_own_wrappers,
     refuse_changes,
+    refuse_missing_statistics,
     refuse_state,
-    warn_of_statistics,
 )
 from .spoofers.residual import change_file
 from .spoofers.scaled import own_columns
@@ -481,8 +481,9 @@ def onnx(
     TypeError
         When the model is something else, or its policy has no deterministic action of a network.
     ValueError
-        When it is recurrent, its environment can't be written down, or normalizes otherwise than
-        the model's own, or the file does not act as the model does; nothing is written then.
+        When it is recurrent, lacks the statistics that it has learned with, its environment can't
+        be written down, or normalizes otherwise than the model's own, or the file does not act as
+        the model does; nothing is written then.
     """
     path = checked_path(path)
     check_training(training, path.stem)
@@ -497,7 +498,7 @@ def onnx(
     refuse_changes(env, "this policy", normalized=True)
     normalization = _normalization_around(model, env)
     if normalization is None:
-        warn_of_statistics(model)
+        refuse_missing_statistics(model)
     low, high = inner.core.bounds
     judges = hasattr(inner.core, "duel")
     if judges and amplitude != 1.0:

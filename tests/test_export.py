@@ -317,7 +317,7 @@ def test_a_wrapper_that_changes_what_is_observed_is_refused_by_its_name(tmp_path
             attach(str(tmp_path / "y.onnx"), env)
 
 
-def test_a_model_without_its_normalization_is_warned_of(tmp_path):
+def test_a_model_without_its_normalization_is_refused(tmp_path):
     envs, statistics = VecNormalize(make(), gamma=1.0), tmp_path / "envs.pkl"
     model = PPO("MlpPolicy", envs, n_steps=8, batch_size=32, n_epochs=1, device="cpu")
     model.learn(32)
@@ -328,8 +328,12 @@ def test_a_model_without_its_normalization_is_warned_of(tmp_path):
     score = partial(judge.score, amplitude=1.0)
     for bare in (make(), VecNormalize(make())):  # without statistics, or with none of its own
         for use in (score, partial(onnx, path=tmp_path / "x.onnx")):
-            with pytest.warns(UserWarning, match=r"behind a VecNormalize.*env=VecNormalize\.load"):
+            with pytest.raises(ValueError, match=r"behind a VecNormalize.*env=VecNormalize\.load"):
                 use(load(env=bare))
+    for use in (score, partial(onnx, env=make(), path=tmp_path / "x.onnx")):
+        with pytest.raises(ValueError, match="behind a VecNormalize"):
+            use(load())
+    assert not (tmp_path / "x.onnx").exists()
     again = score(load(env=VecNormalize.load(statistics, make())))
     assert again.displacement_m.tolist() == score(model).displacement_m.tolist()
 
