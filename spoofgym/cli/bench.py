@@ -223,7 +223,8 @@ def _report(
     *,
     named: bool = False,
 ) -> None:
-    """Write scores and page, and print the answer, or all tables. `suite` replays the worst run; `named`: whether the spoofers were named, each of which gets a row."""
+    """Write scores and page, and print the answer, or all tables. `suite` replays the worst run;
+    `named`: whether the spoofers were named, each of which gets a row."""
     from ..bench.experiments.campaign import summarize
     from ..bench.report.campaign import list_spoofer_rows, print_campaign, state_answer
     from ..bench.report.campaign_page import build_page, replay_worst
