@@ -449,6 +449,12 @@ class Optima:
         self._numbers: dict[str, int] | None = None
         self._unwatched: tuple[WarmStart, Runs] | None = None
 
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Largest rate and its largest change, as the attack and the world's actions have them."""
+        largest, most = get_rate_limits(self.world.setup)
+        return min(largest, self.world.context.largest_rate[1]), most
+
     def _start(self, setup: Setup, shared: bool = False) -> tuple[WarmStart, Runs]:
         """Runs that are searched on, at the onset, and what they do without attack; `shared`: with
         the circumstances of those of the replay."""
@@ -466,6 +472,7 @@ class Optima:
         replayed, why = self._replay_backend(detector, heading_deg)
         error, sizes = None, (self.tuning, self.settings, self.alert_limit_m)
         if replayed is not None:
+            replayed.limits = self.limits
             found = search_aims(replayed, *sizes, tick)
             spec = {**spoofer.fixed_spec, "rates_mps": found[AIMS[0]]["rates_mps"]}
             # a passive detector changes no displacement
@@ -475,7 +482,9 @@ class Optima:
                 return {"by": REPLAY, "linear_error": error, "aims": found, "shapes": shape}
             why = f"the displacement by replay is off by {100.0 * error:.1f} %"
         start = self._start(self.world.build_setup(detector, self.spoofers))
-        found = search_aims(EngineBackend(*start, heading_deg), *sizes, tick)
+        engine = EngineBackend(*start, heading_deg)
+        engine.limits = self.limits
+        found = search_aims(engine, *sizes, tick)
         how = {"by": ENGINE, "why": why, "linear_error": error}
         return {**how, "aims": found, "shapes": shape}
 
@@ -527,7 +536,7 @@ class Optima:
         """The curve for the budget, and others that get as far, by their names. Nothing gets
         farther than the largest rate: where that was found, it is the only one."""
         rates = np.array(found["aims"][AIMS[0]]["rates_mps"])
-        limit, _ = get_rate_limits(self.world.setup)
+        limit, _ = self.limits
         curves = {BEST_CURVE: rates}
         if rates.min() < limit and not self.tuning.quick:
             t = np.linspace(0.0, 1.0, len(rates))
