@@ -75,7 +75,9 @@ def shown(world: dict[str, Any], residual: dict[str, Any], learned: dict[str, An
     values["gains"] = [_describe_gain(x, learned) for x in SHOWN if x in policies]
     values["counted"] = _count_false_alarms()
     values["audited"] = _find_audited()
-    values["whole"] = metres(cells["never", "ramp"]["stealthy_displacement_m"]["value"])
+    values["charted"] = world["calibrations"]["ewma"][0]["runs"]
+    ramps = cells["never", "ramp"], cells[names[next(iter(SHOWN))], "ramp"]
+    values["whole"], values["ramp"] = (metres(x["stealthy_displacement_m"]["value"]) for x in ramps)
     return render_page("bench.md.j2", world=world, **values)
 
 
