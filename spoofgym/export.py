@@ -56,8 +56,8 @@ from .spoofers.learned import (
     make_function,
     name_own_wrappers,
     refuse_changes,
+    refuse_missing_statistics,
     refuse_state,
-    warn_of_statistics,
 )
 from .spoofers.residual import change_file
 from .spoofers.scaled import own_columns
@@ -481,8 +481,9 @@ def onnx(
     TypeError
         When the model is something else, or its policy has no deterministic action of a network.
     ValueError
-        When it is recurrent, its environment can't be written down, or normalizes otherwise than
-        the model's own, or the file does not act as the model does; nothing is written then.
+        When it is recurrent, lacks the statistics that it has learned with, its environment can't
+        be written down, or normalizes otherwise than the model's own, or the file does not act as
+        the model does; nothing is written then.
     """
     path = checked_path(path)
     check_training(training, path.stem)
@@ -497,7 +498,7 @@ def onnx(
     refuse_changes(env, "this policy", normalized=True)
     normalization = _normalization_around(model, env)
     if normalization is None:
-        warn_of_statistics(model)
+        refuse_missing_statistics(model)
     low, high = inner.core.bounds
     judges = hasattr(inner.core, "duel")
     if judges and amplitude != 1.0:
@@ -548,8 +549,8 @@ def _make_card(
     core = inner.core
     if core.settings["observation"] is not None:
         raise ValueError(
-            "a spoofer in a file observes what its `knowledge` gives; the environment has an "
-            f"`observation` of its own: {core.settings['observation']!r}"
+            "a spoofer in a file observes what its `knowledge` gives: train it without the "
+            f"`observation` of this environment, {core.settings['observation']!r}"
         )
     env_id, env_kwargs = describe_environment(inner)
     if "action" in env_kwargs:  # a base is looked for beside the card
@@ -588,8 +589,8 @@ def _normalization_around(model: Any, env: Any) -> Normalization | None:
     same = np.array_equal(own.mean, found.mean) and np.array_equal(own.scale, found.scale)
     if not (same and own.clip == found.clip):
         raise ValueError(
-            "`env` normalizes observations otherwise than the model's own environment: leave `env` "
-            "out, or give the one that it has learned in"
+            "`env` normalizes observations differently from the model's own environment: leave "
+            "`env` out, or give the one that it was trained in"
         )
     return None
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -93,7 +94,11 @@ def test_bench_writes_report_replay_and_json():
     result = call("bench", *QUICK, "--out", "out", "--spoofer", "ramp:rate_mps=tuned")
     assert result.exit_code == 0, result.output
     answer = result.output[result.output.index("Tightest of 2: ") :]
+    lines = [" ".join(line.split()) for line in result.output.splitlines()]
     assert max(map(len, result.output.splitlines())) <= 100
+    rows = lines[lines.index("detector spoofer at most 25 % of alarms [m]") + 1 :][:4]
+    for row, judge in zip(rows, ("never", "lottery", "snapshot-chi2", "ewma"), strict=True):
+        assert re.fullmatch(rf"{judge} ramp\(tuned\) [\d.]+ \([\d.]+ to [\d.]+\)", row), rows
     answer = " ".join(answer.split())
     assert "m undetected in the mean at 25 % of alarms (worst: ramp(tuned))" in answer
     assert answer.endswith(" Report: out/report.html")

@@ -39,7 +39,7 @@ def test_absurd_numbers_of_runs_end_at_once(command, option, largest):
         (["run", "--out", "a.gift"], "unknown ending of a picture '.gift'; valid: "),
         (["bench", "--alarm-budget", "0.001"], "--training-runs must be at least 2995 for a bud"),
         (["bench", "--track", "a.json"], "--track and --ephemeris belong together"),
-        (["bench", "--from", "3"], "there is no --track"),
+        (["bench", "--from", "3"], "--from is for a recorded track, and needs --track"),
         (["bench", "--track", "a.json", "--ephemeris", "b.n"], "a.json: No such file"),
         (["report", "nowhere"], "nowhere holds no results: there is no config.json"),
         (

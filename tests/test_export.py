@@ -81,7 +81,7 @@ def test_the_normalization_of_observations_is_folded_in(tmp_path):
     np.testing.assert_array_equal(read(tmp_path / "alone.onnx")(seen), acted)
     other = VecNormalize(make(), norm_reward=False)
     other.reset()
-    with pytest.raises(ValueError, match="otherwise than the model's own environment"):
+    with pytest.raises(ValueError, match="differently from the model's own environment"):
         onnx(model, other, tmp_path / "other.onnx")
     assert not (tmp_path / "other.onnx").exists()
 
@@ -172,7 +172,12 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written(tmp_path, monkeypat
         (discrete, envs, TypeError, "only a policy with a Gaussian action"),
         (linear(size + 1, 1), envs, ValueError, rf"can't be run with \(B, {size}\)"),
         (linear(size, 2), envs, ValueError, r"must return \(B, 1\) for .* got \(2, 2\)"),
-        (linear(len(own.observation_names), 1), own, ValueError, "`observation` of its own"),
+        (
+            linear(len(own.observation_names), 1),
+            own,
+            ValueError,
+            "without the `observation` of this environment",
+        ),
         (Noisy(size, 1), envs, ValueError, "has the operator RandomNormalLike"),
         (Endless(), envs, ValueError, rf"{tmp_path / 'x.onnx'}.* returned (NaN|inf|-inf)"),
     ):
@@ -312,7 +317,7 @@ def test_a_wrapper_that_changes_what_is_observed_is_refused_by_its_name(tmp_path
             attach(str(tmp_path / "y.onnx"), env)
 
 
-def test_a_model_without_its_normalization_is_warned_of(tmp_path):
+def test_a_model_without_its_normalization_is_refused(tmp_path):
     envs, statistics = VecNormalize(make(), gamma=1.0), tmp_path / "envs.pkl"
     model = PPO("MlpPolicy", envs, n_steps=8, batch_size=32, n_epochs=1, device="cpu")
     model.learn(32)
@@ -323,8 +328,12 @@ def test_a_model_without_its_normalization_is_warned_of(tmp_path):
     score = partial(judge.score, amplitude=1.0)
     for bare in (make(), VecNormalize(make())):  # without statistics, or with none of its own
         for use in (score, partial(onnx, path=tmp_path / "x.onnx")):
-            with pytest.warns(UserWarning, match=r"behind a VecNormalize.*env=VecNormalize\.load"):
+            with pytest.raises(ValueError, match=r"behind a VecNormalize.*env=VecNormalize\.load"):
                 use(load(env=bare))
+    for use in (score, partial(onnx, env=make(), path=tmp_path / "x.onnx")):
+        with pytest.raises(ValueError, match="behind a VecNormalize"):
+            use(load())
+    assert not (tmp_path / "x.onnx").exists()
     again = score(load(env=VecNormalize.load(statistics, make())))
     assert again.displacement_m.tolist() == score(model).displacement_m.tolist()
 

@@ -34,7 +34,7 @@ IDS = {
     "WheeledRobot": "a robot with odometry, of `song2021`",
     "Offsets": "the world of task S1, with an action for each satellite",
 }
-HEAD = ("index", "element", "unit", "scale")
+HEAD = ("index", "element", "unit", "scale", "clipped to")
 
 
 SCALES = {
@@ -68,6 +68,11 @@ def find_unit(name: str, term: Any, setup: Any) -> tuple[str, float]:
     return list_declarations(type(term))[found[0]][0].unit, getattr(term, found[0])
 
 
+def format_bounds(low: float, high: float) -> str:
+    """Least and largest value that is observed, after scaling."""
+    return f"±{high:g}" if low == -high else f"{low:g} to {high:g}"
+
+
 def name_group(name: str) -> str:
     """What elements that slots have alike share; nothing of those without a slot."""
     if "slot" not in name:
@@ -76,8 +81,8 @@ def name_group(name: str) -> str:
 
 
 def list_elements(name: str) -> list[list[str]]:
-    """Index, name, unit, scale and knowledge of what an environment observes by default; elements
-    that slots have alike share a row."""
+    """Index, name, unit, scale, bounds and knowledge of what an environment observes by default;
+    elements that slots have alike share a row."""
     env: Any = gym.make(f"spoofgym/{name}-v0").unwrapped
     setup = env.core.setup
     along = CommandMap(default_action(setup), setup).along_target
@@ -90,7 +95,8 @@ def list_elements(name: str) -> list[list[str]]:
                 unit, scale = find_unit(part[0], term, setup)
                 index = f"{first}-{first + len(part) - 1}" if len(part) > 1 else str(first)
                 shown = f"{float(f'{scale:.4g}'):g}"
-                rows.append([index, ", ".join(words), unit, shown, term.knowledge])
+                bounds = format_bounds(*term.bounds(setup))
+                rows.append([index, ", ".join(words), unit, shown, bounds, term.knowledge])
                 first += len(part)
     return rows
 
@@ -132,9 +138,13 @@ def build_spoofer_page(name: str) -> str:
 
 
 def build_detector_page() -> str:
-    rows = read_table(DetectorView)
+    env: Any = gym.make("spoofgym/DetectorView-v0").unwrapped
+    space, rows = env.observation_space, read_table(DetectorView)
+    for row in rows:
+        first = int(row[0].partition("-")[0])
+        row.append(format_bounds(space.low[first], space.high[first]))
     tables = [Table.of_texts(*HEAD).markdown(each) for each in (rows[:6], rows[6:])]
-    return render_page("detector_view.md.j2", tables=tables)
+    return render_page("detector_view.md.j2", tables=tables, env=env)
 
 
 def draw_episode(name: str) -> Iterator[Any]:

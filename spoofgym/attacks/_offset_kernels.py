@@ -49,7 +49,7 @@ def find_axes(satellites, position, taken, base, axes, work):
     channel by the Gram-Schmidt process, twice for its rounding.
 
     `satellites` (n, 8), `position` (3,) of an epoch, ECEF [m]; `taken` (n,) bool; `base` (R,)
-    channels; `axes` (R, n), written, 0 where there is none; `work` (4 + R, n) scratch memory.
+    channels; `axes` (R, n), written, 0 without one; `work` (4 + R, n) scratch memory.
     """
     n = taken.shape[0]
     work[:] = 0.0

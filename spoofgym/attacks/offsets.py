@@ -322,5 +322,5 @@ def as_offsets(attack: Attack, **chosen: Any) -> Offsets:
     shared = Offsets if isinstance(attack, Offsets) else Attack
     fields = [each.name for each in dataclasses.fields(shared)]
     own = {"threat"} if shared is Offsets else {"threat", "control"}
-    kept = {name: getattr(attack, name) for name in fields if name not in own}
-    return Offsets(**{**kept, **chosen})
+    common = {name: getattr(attack, name) for name in fields if name not in own}
+    return Offsets(**{**common, **chosen})

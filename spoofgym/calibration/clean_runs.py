@@ -104,8 +104,7 @@ def measuring(detector: Detector) -> tuple[Detector, float]:
 
 @dataclass
 class Player:
-    """Plays clean runs of one world; `threads` share the chunks, each with a simulator of its
-    own."""
+    """Plays clean runs of one world; `threads` share the chunks, with a simulator each."""
 
     setup: Setup
     entropy: int = 0

@@ -250,7 +250,7 @@ def _compare(calibration: Calibration, found: CleanRuns, unit: float) -> None:
             if not abs(here - there) <= TOLERANCE * max(abs(there), 1e-12):
                 raise ValueError(
                     f"{calibration.path or calibration.detector['name']} no longer holds: the "
-                    f"largest ratio of run {run} {where} is {there:.9g} there, {here:.9g} here, so "
-                    "that the code, or what it computes, is another one; make it again with "
-                    "`spoofgym calibrate ... --overwrite`"
+                    f"largest ratio of statistic to threshold of run {run} {where} is stored as "
+                    f"{there:.9g} and is {here:.9g} now: the code or its versions have changed; "
+                    "make it again with `spoofgym calibrate ... --overwrite`"
                 )

@@ -45,13 +45,13 @@ class AuditOptions:
         None,
         min=2,
         max=opt.LARGEST_RUNS,
-        help="Evaluation runs of every family, or of a spoofer. Default: those of the budget.",
+        help="Evaluation runs of every family, or of a spoofer. Default: as many as --budget says.",
     )
     selection_runs: int | None = Option(
         None,
         min=4,
         max=opt.LARGEST_RUNS,
-        help="Runs that the attacks of a family are chosen on. Default: those of the budget.",
+        help="Runs that the attacks of a family are chosen on. Default: as many as --budget says.",
     )
     log: Path | None = Option(
         None,
@@ -68,7 +68,7 @@ class AuditOptions:
         None, help="With --log: length of an attack, in seconds. Default: 150."
     )
     time_to_alert_s: float | None = Option(
-        None, help="With --log: time from that error on in which an alarm counts. Default: 10 s."
+        None, help="With --log: time after that error in which an alarm counts. Default: 10 s."
     )
     out: Path = Option(
         Path("results/audit"), help="Folder of finished parts and of the worst attacks."

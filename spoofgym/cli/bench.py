@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from ..bench.experiments import Reader
     from ..bench.experiments.campaign import CampaignResults
     from ..bench.experiments.suite import Suite
-    from ..bench.search.amplitude import TuningResult
 
 WIDTH = 100
 """Characters of a line of the answer."""
@@ -154,9 +153,9 @@ def bench(
         )
     )
     if fit_only:
-        _print_fits([*results.searches.values()], as_json)
+        _print_fits([search.as_dict() for search in results.searches.values()], as_json)
     else:
-        _report(results, as_json, reports, verbose, suite)
+        _report(results, as_json, reports, verbose, suite, named=bool(spoofer))
 
 
 def report(
@@ -205,15 +204,14 @@ def report(
             typer.echo(f"not finished: {', '.join(page.missing)}")
 
 
-def _print_fits(searches: list[TuningResult], as_json: bool) -> None:
+def _print_fits(searches: list[dict[str, Any]], as_json: bool) -> None:
     """Print what was tried for every pair."""
     from ..bench.report.campaign import print_search
 
     if as_json:
-        print_json([search.as_dict() for search in searches])
-        return
-    for search in searches:
-        print_search(search.as_dict())
+        print_json(searches)
+    for search in () if as_json else searches:
+        print_search(search)
 
 
 def _report(
@@ -222,11 +220,13 @@ def _report(
     reports: Reports,
     verbose: bool,
     suite: Suite | None = None,
+    *,
+    named: bool = False,
 ) -> None:
-    """Write scores and page, and print the answer, or all tables. `suite`: plays the worst run
-    again."""
+    """Write scores and page, and print the answer, or all tables. `suite` replays the worst run;
+    `named`: whether the spoofers were named, each of which gets a row."""
     from ..bench.experiments.campaign import summarize
-    from ..bench.report.campaign import print_campaign, state_answer
+    from ..bench.report.campaign import list_spoofer_rows, print_campaign, state_answer
     from ..bench.report.campaign_page import build_page, replay_worst
     from ..bench.report.page import load_replay, write_page
     from ..data.recorded import ONLY_TRAJECTORY
@@ -242,8 +242,10 @@ def _report(
         return
     if verbose:
         print_campaign(summary)
-    elif summary["missing"]:
-        typer.echo(f"not finished: {', '.join(summary['missing'])}")
+    else:
+        print_lines(list_spoofer_rows(summary) if named else [])
+        if summary["missing"]:
+            typer.echo(f"not finished: {', '.join(summary['missing'])}")
     real = [note for note in results.config["notes"] if note == ONLY_TRAJECTORY]
     answer = " ".join([state_answer(summary), *real, f"Report: {written[-1]}"])
     print_lines(wrap(answer, WIDTH, break_long_words=False, break_on_hyphens=False))

@@ -38,10 +38,10 @@ def calibrate(
         "that de-weights.",
     ),
     false_alarms_per_hour: float = Option(
-        0.2, help="False-alarm rate that thresholds are found for."
+        0.2, help="False-alarm rate that thresholds are found for, per hour without attack."
     ),
     rescaled: bool = Option(
-        False, "--rescaled", help="Rescale innovations, for tests with a drift term."
+        False, "--rescaled", help="Scale innovations to the filter's variance, for cumulative sums."
     ),
     hold_out: int | None = Option(
         None, min=1, max=opt.LARGEST_RUNS, help="Count alarms on so many fresh runs."
@@ -51,7 +51,7 @@ def calibrate(
         help="Another world to count alarms in, may be repeated: a scenario, or settings of "
         "the victim that differ, as a JSON object. On as many runs as --hold-out, or 1000.",
     ),
-    check: bool = Option(False, "--check", help="Replay the first runs of every calibration."),
+    check: bool = Option(False, "--check", help="Replay stored runs; fail where they now differ."),
     overwrite: bool = Option(False, "--overwrite", help="Replace calibrations that exist."),
     task: str | None = Option(None, help="World of a task, S1 to S3 or T1 to T6."),
     as_json: opt.Json = False,

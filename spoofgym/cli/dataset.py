@@ -40,13 +40,13 @@ def dataset(
         f"{opt.SPEC_HELP}",
     ),
     train: int = Option(
-        768, min=1, max=opt.LARGEST_RUNS, help="Runs to train on, each attacked and not."
+        768, min=1, max=opt.LARGEST_RUNS, help="Training runs, each with and without the attack."
     ),
-    validation: int = Option(256, min=1, max=opt.LARGEST_RUNS, help="Runs to choose on."),
-    test: int = Option(256, min=1, max=opt.LARGEST_RUNS, help="Runs for the last test."),
-    file_runs: int = Option(64, min=1, max=4096, help="Runs of a file."),
+    validation: int = Option(256, min=1, max=opt.LARGEST_RUNS, help="Validation runs."),
+    test: int = Option(256, min=1, max=opt.LARGEST_RUNS, help="Test runs, for the final score."),
+    file_runs: int = Option(64, min=1, max=4096, help="Runs in each file."),
     alert_limit_m: float | None = Option(
-        None, help="Alert limit, around which attacks are drawn; 40 m, or the task's."
+        None, help="Alert limit in m, around which attacks are drawn. Default: the task's, else 40."
     ),
     overwrite: bool = Option(False, "--overwrite", help="Replace another data set in the folder."),
     as_json: opt.Json = False,

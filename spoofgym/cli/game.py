@@ -20,7 +20,7 @@ def game(
         help="What a run is worth: `stealth`, the undetected displacement in parts of the "
         "alert limit, 0 after an alarm; or `hmi`, whether it exceeds the limit.",
     ),
-    limit_m: float | None = Option(None, help="Alert limit. Default: that of the task."),
+    limit_m: float | None = Option(None, help="Alert limit, in m. Default: that of the task."),
     budget: opt.Budget = "standard",
     runs: opt.Runs = None,
     oracles: bool = Option(
@@ -36,7 +36,7 @@ def game(
     backend: opt.Backend = "local",
     shard: opt.Shard = None,
 ) -> None:
-    """Solve the game of spoofers against detectors: payoffs on paired runs, mixes of both sides."""
+    """Solve the game of spoofers against detectors: payoff matrix, optimal mixed strategies."""
     from ..bench.experiments.game import Game
     from ..bench.experiments.suite import get_budget
     from ..bench.report.game_page import build_game_page, print_game

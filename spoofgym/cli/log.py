@@ -128,7 +128,7 @@ def attack_(
     false_alarms_per_hour: Rate = None,
     attack_s: float = Option(150.0, help="Length of an attack, in seconds."),
     time_to_alert_s: float = Option(
-        10.0, help="Time after it in which an alarm still counts, in seconds."
+        10.0, help="Time after the attack in which an alarm still counts, in seconds."
     ),
     heading_deg: float = Option(90.0, help="Where the false position goes, clockwise from north."),
     rate_limit_mps: float = Option(5.0, help="Largest rate of the false position."),
@@ -303,4 +303,4 @@ def _describe_import(log: InnovationLog) -> list[str]:
             value = ", ".join(f"{count} {reason}" for reason, count in value.items()) or "nothing"
         lines.append(f"{key.replace('_', ' ')}: {value}")
     medians = [f"{each.median:.2g} ({each.signal})" for each in log.check_signals()]
-    return [*lines, f"kept: {_describe_size(log)}; median NIS {', '.join(medians)}"]
+    return [*lines, f"used: {_describe_size(log)}; median NIS {', '.join(medians)}"]

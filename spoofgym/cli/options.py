@@ -141,7 +141,7 @@ class WorldOptions:
         None, help="GNSS errors instead of the scenario's own: groves, zhong2025 ..."
     )
     imu: str | None = Option(
-        None, help="Grade of the inertial sensors instead: aviation, tactical, consumer."
+        None, help="Inertial sensors instead of the scenario's: aviation, tactical, consumer."
     )
     tuning: str | None = Option(
         None,
@@ -188,7 +188,7 @@ class WorldOptions:
         "environment.",
     )
     live_s: float | None = Option(
-        None, help="Last part of that, in which detectors may alarm, in seconds."
+        None, help="Last part of the clean run, in which detectors may alarm, in seconds."
     )
     attack_s: float | None = Option(None, help="Time that the attack lasts, in seconds.")
     time_to_alert_s: float | None = Option(

@@ -53,7 +53,7 @@ def run(
     fps: float = Option(
         25.0, help="Frames of an animation a second; 2 is real time with epochs of 0.5 s."
     ),
-    every: int = Option(1, min=1, help="A frame for every so many epochs."),
+    every: int = Option(1, min=1, help="Draw a frame of an animation every so many epochs."),
     as_json: opt.Json = False,
     options: RunOptions,
 ) -> None:

@@ -228,7 +228,7 @@ def _scenario(
     if options.track is None and not options.ephemeris:
         of_track = ("from_s", "duration", "day", "aircraft", "altitude_unit", "interpolated")
         for option in options.find_passed(of_track).values():
-            raise ValueError(f"{option} is of a recorded track; there is no --track")
+            raise ValueError(f"{option} is for a recorded track, and needs --track")
         changed = options.find_passed(("scenario", "errors", "imu"))
         return ({"scenario": make_scenario(own)} if changed else {}), (), None
     if options.track is None or not options.ephemeris:

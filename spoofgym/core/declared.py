@@ -266,15 +266,15 @@ def list_declarations(kind: type) -> dict[str, tuple[Setting, str]]:
 
 
 def document(kind: type) -> str:
-    """Docstring of a record's class, with the parameters that its settings declare."""
-    text = inspect.cleandoc(kind.__doc__ or "")
+    """Docstring of a record's class, with the parameters that its settings declare, and where the
+    equations of a detector are."""
+    text, paper = inspect.cleandoc(kind.__doc__ or ""), vars(kind).get("paper")
     lines = [line for each in dataclasses.fields(kind) for line in _document_field(each)]
-    if not lines:
-        return text
-    section = "\n".join(["Parameters", "----------", *lines])
+    parts = [f"Equations: `{kind.__module__}`; source: `{paper}`, references.bib."] if paper else []
+    parts += ["\n".join(["Parameters", "----------", *lines])] if lines else []
     following = SECTION.search(text)
     at = following.start() if following else len(text)
-    return f"{text[:at].rstrip()}\n\n{section}\n\n{text[at:]}".rstrip() + "\n"
+    return "\n\n".join([text[:at].rstrip(), *parts, text[at:]]).rstrip() + "\n"
 
 
 def _document_field(each: dataclasses.Field[Any]) -> list[str]:

@@ -257,7 +257,7 @@ def parse_array(data: bytes) -> NDArray[Any]:
         read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
         shape, _, dtype = read(stream)
     except Exception as error:  # it is parsed as Python is, which raises many kinds
-        raise FileError(f"its header is none of an array: {error}") from error
+        raise FileError(f"its header is not that of an array: {error}") from error
     size, left = math.prod(shape) * dtype.itemsize, len(data) - stream.tell()
     if min((0, *shape)) < 0 or dtype.hasobject or size != left:
         raise FileError(f"an array of {dtype} {shape} has {size} bytes, and {left} are there")

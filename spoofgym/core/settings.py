@@ -97,7 +97,7 @@ def outside_sources(*things: Any) -> dict[str, str | None]:
             file = Path(thing)
             for path in (file, file.with_suffix(".json")) if file.suffix == ".onnx" else ():
                 if path.is_file():
-                    found[str(path)] = _digest_of_file(path)
+                    found[str(path)] = _digest_file(path)
             continue
         if hasattr(thing, "list_sources"):
             found |= thing.list_sources()
@@ -129,7 +129,7 @@ def _within(value: Any) -> Iterator[Any]:
         yield from _within(part)
 
 
-def _digest_of_file(path: Path) -> str:
+def _digest_file(path: Path) -> str:
     content = path.read_bytes()
     return digest_of_code(content) if path.suffix == ".py" else digest_of_bytes(content)
 
@@ -179,7 +179,7 @@ def _sources(kind: type) -> dict[str, str]:
         if name in found or not _is_outside(name, kind) or not (file := _find_file(name)):
             continue
         path = Path(file)
-        found[name] = _digest_of_file(path)
+        found[name] = _digest_file(path)
         if path.suffix == ".py":
             package = name if path.name == "__init__.py" else name.rpartition(".")[0]
             waiting += _list_imports(path.read_bytes(), package)

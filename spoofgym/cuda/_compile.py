@@ -1,7 +1,7 @@
 """The library's own functions, compiled again for one thread of a device: no formula is repeated.
 
 Multiplications and additions are not contracted, so that IEEE arithmetic in double precision gives
-the bits of the processor: NVVM is told so at every compilation.
+the bits of the processor: every compilation by NVVM has that option.
 """
 
 from __future__ import annotations

@@ -75,8 +75,7 @@ def interpolated_positions(time: Floats, latitude: Floats, longitude: Floats) ->
 
 
 def off_line(time: Floats, value: Floats) -> Floats:
-    """(n,) distance of each row of `value` (n, k) from the line between its neighbours; 0 at both
-    ends."""
+    """(n,) distance of each row of `value` (n, k) from its neighbours' line; 0 at both ends."""
     distance = np.zeros(time.size)
     if time.size > 2:
         weight = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]

@@ -205,13 +205,13 @@ def check_version(line: str, path: Path, valid: tuple[int, ...]) -> int:
 def _blank_other_frames(lines: list[str]) -> list[str]:
     """A version 4 file as one of version 3: blank where there are titles, and frames other than
     orbits, or orbits of GPS of another message than the legacy one."""
-    kept, used = list[str](), True
+    blanked, used = list[str](), True
     for line in lines:
         if is_title := line.startswith(">"):
             kind, satellite, message = (line[1:].split() + [""] * 3)[:3]
             used = kind == "EPH" and (satellite[:1] != "G" or message == "LNAV")
-        kept.append(line if used and not is_title else "")
-    return kept
+        blanked.append(line if used and not is_title else "")
+    return blanked
 
 
 def _blocks(lines: list[str], path: Path) -> Iterator[tuple[int, list[str]]]:

@@ -1,5 +1,4 @@
-"""Recorded tracks as they are: CSV, Parquet and JSON files of ADS-B records; `cleaning` comes
-next."""
+"""Recorded tracks as they are: CSV, Parquet and JSON files of ADS-B; `cleaning` comes next."""
 
 from __future__ import annotations
 

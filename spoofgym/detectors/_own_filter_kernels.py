@@ -197,7 +197,7 @@ def advance_filters(
     """
     receivers, width = len(filters), filters.shape[2]
     states, m, n = STATES + len(rest), z.shape[1], visible.shape[1]
-    wide, kept, moved = width // LANES, white.shape[2] - 1, np.zeros(scratch_shape(states, width))
+    wide, d, moved = width // LANES, white.shape[2] - 1, np.zeros(scratch_shape(states, width))
     A, factor = np.zeros((m, width)), np.empty((m, m))
     rows, ends = np.empty(states, dtype=np.int64), np.empty(states, dtype=np.int64)
     at, of = np.empty(states * states, dtype=np.int64), np.empty(states * states)
@@ -248,9 +248,9 @@ def advance_filters(
         whiten_rows(factor, count, wide, AV)
         subtract_squares(A, count, M)
         for i in range(count):
-            for k in range(kept):
+            for k in range(d):
                 white[b, i, k] = A[i, k]
-            white[b, i, kept] = A[i, states]
+            white[b, i, d] = A[i, states]
         if count < 0:
             for i in range(states):
                 M[i, states] = np.inf

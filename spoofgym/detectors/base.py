@@ -114,7 +114,7 @@ class DetectorContext(NamedTuple):
 
 
 class Detector(ABC):
-    """A detector with memory of B receivers; it knows no truth, no clock time and no chance.
+    """A detector with memory of B receivers; it has no truth, clock time or random generator.
 
     A subclass declares its arrays in `bind` (``self.memory.declare(name, initial)``, with a leading
     axis of receivers) and keeps nothing else from one epoch to the next: then reset (when a run
@@ -134,8 +134,9 @@ class Detector(ABC):
     oracle : bool
         Whether it is given what no receiver can know; never part of a comparison by default.
     drifts : bool
-        Whether its statistic has a drift term, so that it is 0 on most innovations that are smaller
-        than the filter believes; these innovations can be rescaled (`Calibrated`).
+        Whether its statistic subtracts a drift and is 0 below it, as a cumulative sum.  Where the
+        innovations are smaller than the filter believes it is 0 in most epochs, which no factor
+        on the threshold mends; innovations can then be rescaled (`Calibrated`).
     alarm_is_state : bool
         Whether an alarm is more than statistic above threshold, such as a flag that stays up.  Such
         a detector is a dataclass with a setting `alarm_scale`, 1 by default: the factor on the
@@ -146,8 +147,8 @@ class Detector(ABC):
     has_nominal : bool
         Whether it has thresholds of its own, as published or on its card.
     draws : bool
-        Whether the last bits of its innovations decide its statistic, which then differs from one
-        kind of processor to another: runs of its calibrations are not replayed.
+        Whether it alarms at random, as `Lottery`, with the last bits of its innovations as the
+        source.  These differ between kinds of processor: runs of its calibrations are not replayed.
     label : str or None
         What it is called in tables; None for its registered name, or that of its class.
     card : DetectorCard or None

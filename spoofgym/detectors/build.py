@@ -99,8 +99,7 @@ def make_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
     Raises
     ------
     ValueError
-        When the name or a setting is unknown, the valid ones are listed; or a file does not fit
-        its card.
+        When the name or a setting is unknown, with the valid ones; or a file does not fit its card.
     TypeError
         When `spec` is something else.
 
@@ -121,15 +120,15 @@ DetectorSpec = str | Mapping[str, Any] | Detector | type[Detector]
 def detector_in_world(spec: DetectorSpec, false_alarms_per_hour: float | None = None) -> Detector:
     """Detector of an environment, a duel or a benchmark, at a rate of false alarms.
 
-    As `make_detector`, but that a name or a class without a word on its thresholds has those of the
-    default rate, which are looked up when the detector is bound to a world.
+    As `make_detector`, except that a name or a class that requests no thresholds gets those of the
+    default rate, 0.2 an hour.  They are looked up when the detector is bound to a world.
 
     Parameters
     ----------
     spec : str, mapping, Detector or type
         As `make_detector` takes it; or the class of a detector that needs no settings.
     false_alarms_per_hour : float, optional
-        Rate in place of the default one, also of an object, which else keeps its own thresholds.
+        Rate instead of the default one; for an object, which else has its own thresholds, too.
 
     Returns
     -------
@@ -139,7 +138,7 @@ def detector_in_world(spec: DetectorSpec, false_alarms_per_hour: float | None = 
     Raises
     ------
     ValueError
-        As in `make_detector`; or where `spec` itself says which thresholds it has, too.
+        As in `make_detector`; or where both `spec` and `false_alarms_per_hour` request thresholds.
     """
     rate = false_alarms_per_hour
     if isinstance(spec, type) and issubclass(spec, Detector):
@@ -151,7 +150,8 @@ def detector_in_world(spec: DetectorSpec, false_alarms_per_hour: float | None = 
     own = asks(given) if isinstance(given, Mapping) else isinstance(given, Calibrated)
     if own:
         raise ValueError(
-            f"`false_alarms_per_hour` = {rate!r} is given, but {spec!r} has thresholds of its own"
+            f"`false_alarms_per_hour` = {rate!r} is given, but {spec!r} has thresholds of its own: "
+            "leave out one"
         )
     if isinstance(given, Mapping):
         return _build({**given, "false_alarms_per_hour": rate}, None)

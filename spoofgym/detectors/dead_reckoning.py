@@ -310,10 +310,14 @@ def constrain_fixes(
 
 @settings_record
 class Rio(Detector):
-    """Distance constraint with a latch."""
+    """Rejects a fix far from dead reckoning, and all after it until one is near the estimate."""
 
-    limit_m: float = setting(default=16.5, above=0.0, unit="m", help="Limit D.")
-    readmission_m: float = setting(default=5.0, above=0.0, unit="m", help="Limit D_r.")
+    limit_m: float = setting(
+        default=16.5, above=0.0, unit="m", help="Largest distance D from dead reckoning."
+    )
+    readmission_m: float = setting(
+        default=5.0, above=0.0, unit="m", help="Distance D_r to the estimate that ends rejection."
+    )
 
     paper: ClassVar[str] = "song2021"
     needs: ClassVar[frozenset[str]] = frozenset({"auxiliary_position", "design", "gnss_position"})

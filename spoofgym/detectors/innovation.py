@@ -57,8 +57,8 @@ def first_window() -> Any:
         default=0.0,
         least=0.0,
         unit="s",
-        help="Length of the first window whose mean innovation is taken away from every channel, "
-        "which is not judged before; 0 for none.",
+        help="Length of a window from the start of every channel, whose mean innovation is "
+        "subtracted from later ones; the channel is not judged within it; 0 for none.",
     )
 
 

@@ -96,7 +96,7 @@ class _Host:
             [sys.executable, "-m", PROGRAM, str(other.fileno())],
             env=child_environment(),
             stdin=subprocess.DEVNULL,
-            stdout=2,  # what it prints is none of a command's results
+            stdout=2,  # what it prints is no result of a command
             pass_fds=[other.fileno()],
             start_new_session=True,
         )
@@ -113,7 +113,7 @@ class _Host:
 
     @classmethod
     def find(cls, content: bytes, limit_s: float, name: str) -> _Host:
-        """The process of a detector, started if there is none."""
+        """The process of a detector, started if it is not running."""
         key = os.getpid(), content
         with cls.starting:
             found = cls.running.get(key)

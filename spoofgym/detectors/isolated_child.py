@@ -162,7 +162,7 @@ class Server:
         return {"error": locate_error(error), "receiver": row}
 
     def find_receiver(self, kind: type[Exception]) -> int | None:
-        """The one receiver that makes the detector fail, as it is now; None where there is none."""
+        """The one receiver that makes the detector fail, as it is now; None without any."""
         rows = np.arange(len(self.epoch.time))
         while len(rows) > 1:
             failing = [each for each in np.array_split(rows, 2) if self._fails(each, kind)]

@@ -225,7 +225,10 @@ FILE_SETTINGS = ("quiet_epochs", "sha256")
 
 @settings_record
 class LearnedDetector(Detector):
-    """Judges as the network in an ONNX file does; its statistic is within 0 and 1, its threshold 1.
+    """Judges as the network in an ONNX file does: an alarm where its statistic exceeds a threshold.
+
+    The statistic is within 0 and 1; the class has threshold 1, so that it never alarms.
+    `make_detector` takes the threshold of the card, of a calibration, or ``"threshold"``.
 
     Attributes
     ----------
@@ -246,7 +249,7 @@ class LearnedDetector(Detector):
         default=None,
         least=0,
         help="Epochs after it is switched on in which it does not decide; by default those of "
-        "the card.",
+        "the card.  They are its `silent_epochs`.",
     )
 
     paper: ClassVar[str] = PolicyDetector.paper

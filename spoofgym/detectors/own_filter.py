@@ -53,8 +53,8 @@ def filter_to_test() -> Any:
         default=VICTIM,
         one_of=(VICTIM, AUGMENTED),
         newer=True,
-        help="Filter whose innovations are tested: the victim's, or one beside it with states for "
-        "all that is not white (`spoofgym.detectors.own_filter`), since the victim's switch-on.",
+        help="Filter whose innovations are tested: the victim's, or a second one that starts with "
+        "it and has states for coloured errors, too (`detectors/own_filter.py`).",
     )
 
 

@@ -110,7 +110,7 @@ class LearnersSide(NamedTuple):
 
     @property
     def card_id(self) -> str:
-        """The id, where everybody has it and it has no pool; else one of the victim's defaults."""
+        """The id, where it is the package's and has no pool; else one of the victim's defaults."""
         ours = self.pool is None and self.env_id.startswith("spoofgym/")
         return self.env_id if ours else self.setup.env_id
 

@@ -211,8 +211,7 @@ class DuelParallel(_Form, ParallelEnv[str, Observation, Observation]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Act for both agents, and run one epoch. `actions` (a,) in [-1, 1] by agent, in any
-        order."""
+        """Act for both agents, and run one epoch. `actions` (a,) in [-1, 1] by agent."""
         self._check_running()
         if set(actions) != set(AGENTS):
             raise ValueError(

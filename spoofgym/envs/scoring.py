@@ -125,8 +125,7 @@ class StepResult:
         return info
 
     def report(self, verdict: Verdict | None) -> None:
-        """Write the statistic and the threshold of a verdict, of the channel with the largest
-        ratio."""
+        """Write the statistic and the threshold of the channel with a verdict's largest ratio."""
         assert verdict is not None  # there is one in every epoch
         statistic = np.ascontiguousarray(verdict.statistic)
         threshold = np.ascontiguousarray(verdict.threshold)

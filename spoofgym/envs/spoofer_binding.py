@@ -188,8 +188,7 @@ def _misfit(card: SpooferCard, found: str, setup: Setup) -> MisfitError:
 
 
 def suggest_settings(card: SpooferCard, setup: Setup) -> tuple[str, str]:
-    """What to add to a world that a policy does not fit, in words, and as options of the command
-    line."""
+    """What to add to a world that a policy does not fit, in words, and as options."""
     try:
         made_for = setup_of_card(card)
     except ValueError as error:

@@ -101,8 +101,7 @@ class SpoofEnv(CoreEnv[SpoofCore]):
         A name in `DETECTORS`, a dict with a name and settings, or an object, which is copied; the
         EWMA chart with weights (m = 0.3) by default.
     attack : str, mapping or Attack
-        A name in `ATTACKS` or `THREATS`, a dict with a name and settings, or an object, which is
-        copied.
+        A name in `ATTACKS` or `THREATS`, a dict with name and settings, or an object, copied.
     receiver : str, mapping or TightlyCoupled, optional
         ``"paper"`` or ``"matched"``, or settings of the victim.
     timeline : mapping or Timeline, optional

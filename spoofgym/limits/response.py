@@ -190,8 +190,7 @@ class LinearReplay:
         scale: FloatArray | float = 1.0,
     ) -> Replayed:
         """Let one of the detectors judge P attacks on some runs, all by default. `rates` (P,
-        decisions) along each run's target direction [m/s]; `scale`: a factor on them for each
-        run."""
+        decisions) along each run's target direction [m/s]; `scale`: factor for each run."""
         rows = np.arange(self.runs) if rows is None else rows
         each = np.broadcast_to(np.asarray(scale, dtype=np.float64), rows.shape)
         one = self._play_bank if self.sums(number) else self._play

@@ -40,7 +40,7 @@ OPERATORS = frozenset(
     Tan Tanh ThresholdedRelu Tile TopK Transpose Trilu Unsqueeze Where Xor
     """.split()  # noqa: SIM905
 )
-"""Standard operators that a policy may have: no control flow, no chance, nothing of images."""
+"""Standard operators of a policy: no control flow, no random numbers, nothing of images."""
 GROWING = frozenset(("ConstantOfShape", "Expand", "OneHot", "Pad", "Range", "Tile"))
 """Operators whose result is as large as some number says; that has to follow from the graph."""
 SHAPES = {"ConstantOfShape": 0, "Expand": 1, "Reshape": 1, "Tile": 1}

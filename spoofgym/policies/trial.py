@@ -166,8 +166,8 @@ def check_answers(model: OnnxModel, space: Space) -> None:
     pairs += [(apart, rolled[: len(apart)])]
     if any(mine.tobytes() != other.tobytes() for mine, other in pairs):
         raise ValueError(
-            f"{model.path} answers the same observation otherwise in another batch: nothing may "
-            "mix the rows of a batch, as a normalization over it does"
+            f"{model.path} answers the same observation differently in another batch: nothing may "
+            "mix the rows of a batch, as batch normalization does"
         )
 
 

@@ -42,8 +42,8 @@ def append_signals(
 ) -> int:
     """Append a row of the design matrix for the states of the signals, ascending in place.
 
-    `mapping` (n, 6) as `compute_mappings` has it; `first` (7,) state of every kind, -1 where there
-    is none, and `behind` how many states come before; `smoothed` (4,) amplitudes of multipath and
+    `mapping` (n, 6) as `compute_mappings` has it; `first` (7,) state of every kind, -1 for
+    no state, and `behind` how many states come before; `smoothed` (4,) amplitudes of multipath and
     noise; `rate` 1 / interval; `row` of the code of a satellite, or behind all codes of its range
     rate. Places and values of what is not 0 are appended to `at`, `of`; returns how many there are
     with those before."""

@@ -62,7 +62,7 @@ class SignalModel(NamedTuple):
         return 6 if IN_RUN in self.places else 0
 
     def tables(self, interval_s: float) -> tuple[IntArray, FloatArray, float]:
-        """First state of every kind, -1 where there is none, amplitudes, and the rate of epochs, as
+        """First state of every kind, -1 for no state, amplitudes, and the rate of epochs, as
         of `append_signals`."""
         first = np.array([self.places.get(kind, -1) for kind in KINDS])
         return first, np.array(self.smoothed), 1.0 / interval_s

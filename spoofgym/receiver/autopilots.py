@@ -269,11 +269,11 @@ def _parse_dataflash(content: bytes) -> dict[str, Columns]:
     for kind, starts in places.items():
         length, name, fields, columns = kinds[kind]
         names = columns.split(",")
-        kept = np.dtype([(x, FORMATS[letter]) for x, letter in zip(names, fields, strict=True)])
+        layout = np.dtype([(x, FORMATS[letter]) for x, letter in zip(names, fields, strict=True)])
         require(
-            kept.itemsize == length - 3, f"the format of {name} has another length than it says"
+            layout.itemsize == length - 3, f"the format of {name} has another length than it says"
         )
-        rows = np.frombuffer(b"".join(content[k : k + length - 3] for k in starts), kept)
+        rows = np.frombuffer(b"".join(content[k : k + length - 3] for k in starts), layout)
         found[name] = {
             x: rows[x] * 0.01 if letter in "cCeE" else rows[x]
             for x, letter in zip(names, fields, strict=True)
@@ -340,30 +340,30 @@ def _make_log(rows: Rows, about: dict[str, Any]) -> InnovationLog:
         "without a variance": ~used.any(axis=1),
     }
     reason = np.select(list(why.values()), [1, 2, 3], 0)
-    kept = np.flatnonzero(reason == 0)
-    x = np.where(used, rows.innovation, np.nan)[kept]
+    good = np.flatnonzero(reason == 0)
+    x = np.where(used, rows.innovation, np.nan)[good]
     same = ((x[1:] == x[:-1]) | (np.isnan(x[1:]) & np.isnan(x[:-1]))).all(axis=1)
-    again = np.concatenate([[False], same | (np.diff(rows.time[kept]) <= 0.0)])[: len(kept)]
+    again = np.concatenate([[False], same | (np.diff(rows.time[good]) <= 0.0)])[: len(good)]
     left_out = {name: int((reason == k).sum()) for k, name in enumerate(why, 1)}
     left_out["repeated"] = int(again.sum())
-    kept, x = kept[~again], x[~again]
+    good, x = good[~again], x[~again]
     about = {**about, "left_out": {name: count for name, count in left_out.items() if count}}
     reasons = ", ".join(f"{count} {name}" for name, count in about["left_out"].items())
     require(
-        len(kept) > 1,
-        f"{len(kept)} innovations of GNSS are left of {about['found']}; left out: {reasons}",
+        len(good) > 1,
+        f"{len(good)} innovations of GNSS are left of {about['found']}; left out: {reasons}",
     )
-    if height := int((~used[kept, 2]).sum()):
+    if height := int((~used[good, 2]).sum()):
         about["left_out"]["positions down, whose height is not of GNSS"] = height
-    time = rows.time[kept]
+    time = rows.time[good]
     gap = np.diff(time) > GAP * np.median(np.diff(time))
-    reset = (np.diff(rows.resets[kept], axis=0) != 0.0).any(axis=1)
-    unused = np.diff(np.cumsum(reason > 0)[kept]) > 0
+    reset = (np.diff(rows.resets[good], axis=0) != 0.0).any(axis=1)
+    unused = np.diff(np.cumsum(reason > 0)[good]) > 0
     segment = np.concatenate([[0], np.cumsum(gap | reset | unused)])
     return InnovationLog(
         time=time,
         innovation=x,
-        innovation_cov=np.where(used, rows.variance, 1.0)[kept][:, :, None] * np.eye(6),
+        innovation_cov=np.where(used, rows.variance, 1.0)[good][:, :, None] * np.eye(6),
         channels=CHANNELS,
         signals=PAIRS[1],
         segment=segment.astype(np.int64),

@@ -270,8 +270,7 @@ ALWAYS = frozenset(Epoch._fields).difference(OPTIONAL)  # the others
 
 
 class TracedEpoch(Epoch):
-    """Epoch that notes in `read_fields` which optional fields are read by their names, in copies
-    too."""
+    """Epoch that notes in `read_fields` optional fields read by name, in copies too."""
 
     @property
     def read_fields(self) -> set[str]:

@@ -2,7 +2,7 @@
 
 Two forms. A *table* (CSV or Parquet) has a row for each innovation, and can be written from C,
 MATLAB or a spreadsheet: ``time_s, channel, signal, innovation, variance``, and ``segment`` where a
-filter began anew. *Matrices* (``.npz``, without pickled objects) hold the whole covariance S, and
+filter restarted. *Matrices* (``.npz``, without pickled objects) hold the whole covariance S, and
 what else an epoch has.
 
 Channels are satellites, or north, east and down of a receiver that measures its position. Signals

@@ -157,7 +157,7 @@ def _check_motion(recording: PositionRecording, initial: NavState) -> None:
     likely = misfit(causes[cause]) < LIKELY * found
     if found > (MOVED_BADLY if likely else MOVED_OFTEN):
         raise ValueError(
-            "`velocity_e` must be in ECEF axes and m/s, but positions move otherwise, by "
+            "`velocity_e` must be in ECEF axes and m/s, but positions move differently, by "
             f"{100.0 * found:.0f} % of it in the median "
             f"({cause if likely else 'do they belong together'}?)"
         )
@@ -323,7 +323,7 @@ def _check_satellites(recording: Recording, visible: Bools) -> None:
             cause = "is it with respect to inertial axes"
         raise ValueError(
             "`satellite_velocity_e` must be ECEF in m/s, but `satellite_position_e` moves "
-            f"otherwise, by {found:.3g} m/s in the median ({cause}?)"
+            f"differently, by {found:.3g} m/s in the median ({cause}?)"
         )
 
 

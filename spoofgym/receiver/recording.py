@@ -190,7 +190,7 @@ class PositionRecording(InertialRecording):
     position_e : array_like
         (K, 3) ECEF [m]; a row with a NaN is an epoch without a position.
     velocity_e : array_like, optional
-        (K, 3) with respect to the Earth, ECEF axes [m/s]; NaN where there is none, as everywhere
+        (K, 3) with respect to the Earth, ECEF axes [m/s]; NaN where it is missing, as everywhere
         by default.
 
     Raises

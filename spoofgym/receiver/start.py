@@ -31,7 +31,7 @@ def fix_epochs(
     pseudorange: Floats, range_rate: Floats, position: Floats, velocity: Floats
 ) -> Floats:
     """(K, 8) ECEF position and velocity, clock and its drift of every epoch [m], [m/s]; NaN where
-    there is none. Ranges (K, n), satellites (K, n, 3)."""
+    there is no fix. Ranges (K, n), satellites (K, n, 3)."""
     fixes, guess = np.full((len(pseudorange), 8), np.nan), np.zeros(3)
     for k, each in enumerate(zip(pseudorange, range_rate, position, velocity, strict=True)):
         with suppress(ValueError):  # too few satellites, or a singular geometry

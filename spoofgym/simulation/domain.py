@@ -205,7 +205,7 @@ class DomainBounds(NamedTuple):
 
 
 def draw(bounds: DomainBounds, keys: NDArray[np.uint64]) -> Choice:
-    """Draw the circumstances of episodes, each from its key of the source of chance, (b, 2)."""
+    """Draw the circumstances of episodes, each from its random key, (b, 2)."""
     count = len(keys)
     whole = np.zeros((4, count), dtype=np.int64)
     whole[3] = bounds.first

@@ -84,13 +84,14 @@ class Engine:
         Whether a clean twin of every receiver runs, too: the same flight, noise and detector, but
         no attack.  It shares the warm-up.
     warm_pool : int, optional
-        Only so many pasts M, of seeds that are the same for every engine (`POOL_SEED`): each
-        episode starts as a copy of the one that its seed picks, satellite biases, domain and
-        ``warmup_alarm`` included, and has noise of its own from the onset on.  A past is flown when
-        it is first picked, with others that are a little younger, which cost least beside it.  The
-        bits are others than without; they are the same for the same M and seed in any batch.  There
-        is nothing to `prefetch` then.  An episode of which something is given has a past of its
-        own.  For training: 1024 episodes of 32 pasts are worth some 36 in a score.
+        Number M of warm-ups that all episodes share, with seeds that are the same for every engine
+        (`POOL_SEED`); by default every episode has its own.  An episode starts as a copy of the one
+        that its seed picks, satellite biases, domain and ``warmup_alarm`` included, and has its own
+        noise from the onset on.  Each is computed when it is first needed.  Runs differ from those
+        without a pool, and are the same bits for the same M and seed in any batch.  `prefetch` has
+        no effect then; a reset with fixed circumstances (`given`) takes a warm-up of its own.  For
+        training only: a score of 1024 episodes from 32 warm-ups is as uncertain as one of some 36
+        independent episodes.
 
     Attributes
     ----------

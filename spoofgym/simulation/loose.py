@@ -114,8 +114,7 @@ class LooselyCoupledSetup(Setup):
     receiver : mapping or LooselyCoupled, optional
         Settings of the victim; by default R adapts, over 100 epochs.
     imu_rate_hz : float, optional
-        Samples of the inertial sensors per second, as in `Scenario`; those of the flight by
-        default.
+        Samples of the inertial sensors per second, as in `Scenario`; by default the flight's.
     rate_limit_mps : float
         Rate of the displacement to the north and to the east that a command of 1 means.
 

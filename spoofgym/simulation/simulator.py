@@ -103,7 +103,7 @@ class Sequel(Protocol):
 
 
 FARTHEST = 1e9
-"""Coordinate of an estimated position from which on it is none [m]."""
+"""Coordinate from which on an estimated position counts as diverged [m]."""
 
 
 class FilterDiverged(ArithmeticError):
@@ -384,7 +384,7 @@ class Simulator(ABC):
             monitor.observe_update(self)
 
     def check_converged(self) -> None:
-        """Raise `FilterDiverged` where an estimated position is none, whatever the detector."""
+        """Raise `FilterDiverged` where an estimated position is invalid, whatever the detector."""
         position = self.position
         b = find_diverged(position, FARTHEST)
         if b >= 0:

@@ -57,8 +57,10 @@ ATTACK_FORMS: dict[type, int] = {
 class TightlyCoupledSetup(Setup):
     """World, victim, attack and detector of tightly coupled receivers.
 
-    The settings are those of `spoofgym.envs.SpoofEnv`; all fit into JSON, or are objects. `world`:
-    all worlds of the domain, one after the other; `combinations` of world, sensors and errors.
+    The settings are those of `spoofgym.envs.SpoofEnv`; all fit into JSON, or are objects.
+
+    Its attribute `world` holds all worlds of the domain, one after the other on the axis of epochs;
+    `combinations`, the cases of world, grade of sensors and errors that an episode can draw.
     """
 
     kind: ClassVar[str] = "tightly-coupled"

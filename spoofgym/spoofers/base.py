@@ -233,7 +233,7 @@ def _places(action_names: tuple[str, ...]) -> list[int]:
 
 @settings_record(kw_only=True)
 class ScriptedSpoofer(Spoofer):
-    r"""Pushes along one line by a rule for the rate of every epoch, blind for what comes of it.
+    r"""Pushes along one line by a rule for the rate of every epoch, open loop.
 
     The rate v and the displacement D that it has commanded follow the attack's own kinematics,
 
@@ -249,8 +249,8 @@ class ScriptedSpoofer(Spoofer):
         unit="deg",
         help="Direction of a false position, clockwise from north; or the target direction, where "
         'it is observed: ``target_heading_deg="random"`` draws it for every episode.  An attack on '
-        "single channels has no heading: there all channels are commanded alike, which moves the "
-        "receiver's clock alone if they are all that it sees.",
+        "single channels has no heading: the same offset is commanded on all of its channels, and "
+        "moves the receiver's clock alone where these are all satellites in view.",
     )
 
     knowledge = "blind"

@@ -102,8 +102,7 @@ def make_spoofer(spec: SpooferSpec) -> Spoofer:
     Raises
     ------
     ValueError
-        When the name or a setting is unknown, the valid ones are listed; or a file does not fit
-        its card.
+        When the name or a setting is unknown, with the valid ones; or a file does not fit its card.
     TypeError
         When `spec` is something else.
 

@@ -220,16 +220,9 @@ def _of_stable_baselines(model: Any, policy: Any) -> Function:
     """Deterministic action of a policy, without what `predict` repeats at every call."""
     refuse_state(policy)
     torch: Any = sys.modules["torch"]
-    if not hasattr(policy.action_space, "low"):
-        raise ValueError(
-            f"actions must be a Box within -1 and 1, but the model's are {policy.action_space}"
-        )
-    low = np.asarray(policy.action_space.low, dtype=np.float64)
-    high = np.asarray(policy.action_space.high, dtype=np.float64)
-    if not (np.allclose(low, -1.0) and np.allclose(high, 1.0)):
-        raise ValueError(
-            f"actions must be within -1 and 1, but the model's are {policy.action_space}"
-        )
+    space = policy.action_space
+    if not all(np.allclose(getattr(space, x, np.nan), y) for x, y in (("low", -1), ("high", 1))):
+        raise ValueError(f"actions must be a Box within -1 and 1, but the model's are {space}")
 
     def act(seen: NDArray[np.float32]) -> Any:
         wanted = policy.observation_space.shape
@@ -333,7 +326,7 @@ def refuse_changes(env: Any, whose: str, *, normalized: bool = False) -> None:
         if changed:
             raise ValueError(
                 f"the wrapper {kind.__module__}:{kind.__qualname__} changes every {changed[0]}, "
-                f"and {whose} is played without it: leave it out"
+                f"and {whose} is played without it: give an environment without this wrapper"
             )
 
 
@@ -347,8 +340,8 @@ def _changes(wrapper: Any, below: Any, word: str) -> bool:
     return below is not None and getattr(wrapper, name, None) != getattr(below, name, None)
 
 
-def warn_of_statistics(model: Any) -> None:
-    """Warn of a model that has learned behind a `VecNormalize` whose statistics it does not have.
+def refuse_missing_statistics(model: Any) -> None:
+    """Raise where a model has learned behind a `VecNormalize` whose statistics it does not have.
 
     Stable-baselines3 saves neither; what is left is the last observation as it was before.
     """
@@ -362,25 +355,23 @@ def warn_of_statistics(model: Any) -> None:
         learned = getattr(model, "num_timesteps", 0) > 0
         missing = learned and bool(envs.norm_obs) and envs.obs_rms.count < 1.0
     if missing:
-        warnings.warn(
+        raise ValueError(
             f"this {type(model).__name__} has learned behind a VecNormalize, whose statistics are "
-            "not given, so that it observes otherwise than it has learned: save them by "
-            "`VecNormalize.save`, and load it with env=VecNormalize.load(FILE, envs)",
-            UserWarning,
-            stacklevel=5,
+            "not given, so that it would observe otherwise than it has learned: save them by "
+            "`VecNormalize.save`, and load it with env=VecNormalize.load(FILE, envs)"
         )
 
 
 def read_training_env(model: Any) -> Mapping[str, Any]:
     """Arguments of `ModelPolicy` by a model's own environment; warns of a model of
-    stable-baselines3 whose environment can't be read, or without its `VecNormalize`."""
+    stable-baselines3 whose environment can't be read, refuses one without its `VecNormalize`."""
     if not hasattr(model, "get_env"):
         return {}
     env = model.get_env()
     found = describe_env(env)
+    refuse_missing_statistics(model)
     if found:
         refuse_changes(env, f"this {type(model).__name__}", normalized=True)
-        warn_of_statistics(model)
     else:
         warnings.warn(
             f"this {type(model).__name__} has no environment that can be read, so that it is "

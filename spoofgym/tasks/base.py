@@ -67,8 +67,7 @@ class Task:
 
     @property
     def detector(self) -> dict[str, Any]:
-        """The detector of the task, a pool if it has several, as `make_detector` takes it; a
-        copy."""
+        """The detector of the task, a pool if it has several, for `make_detector`; a copy."""
         detector = {"name": "pool", "members": list(self.detectors)}
         return copy.deepcopy(detector if self.pooled else self.detectors[0])
 

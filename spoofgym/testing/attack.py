@@ -47,12 +47,12 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
     - offsets are the commanded motion, within the limits of rate and acceleration, and without a
       command they keep their rate;
     - range rates are the derivative of the ranges where they are coherent, and untouched else;
-    - it keeps receivers and slices apart, has no chance, and remembers in its `memory` alone, as in
-      `check_detector`.
+    - receivers and slices of a batch do not affect one another, it draws no random numbers, and it
+      remembers in its `memory` alone, as in `check_detector`.
 
-    An attack with imperfect equipment has to show all of this with perfect equipment, and the rest
-    with its own: errors, a clock or a wrong target position change measurements without a command
-    (`idle_is_clean` says so), and no trapezoid follows ranges that noise moves between the epochs.
+    Imperfect equipment is checked twice: with it switched off, all of this; with it on, all but the
+    clean start and the derivative, since errors, a clock or a wrong target position change
+    measurements without a command (`idle_is_clean` says so), and noise has no derivative.
 
     Parameters
     ----------

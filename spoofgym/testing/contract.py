@@ -80,13 +80,13 @@ def explain_read_only(word: str, given: str) -> Iterator[None]:
 
 
 @contextmanager
-def no_global_chance(word: str) -> Iterator[None]:
+def refuse_global_random(word: str) -> Iterator[None]:
     before = random.getstate(), _numpy_state()
     yield
     require_contract(
         (random.getstate(), _numpy_state()) == before,
         f"the {word} uses the global random numbers of `random` or `numpy.random`, which makes "
-        "runs depend on each other; it must not use chance at all",
+        "runs depend on each other; it must not draw random numbers at all",
     )
 
 
@@ -145,7 +145,7 @@ def run_trial(trial: ContractTrial[T]) -> list[Record]:
     bound = trial.bind(everyone)
     check_memory(bound, trial.receivers, trial.word)
     records = trial.play(bound, everyone, turns)
-    with no_global_chance(trial.word):
+    with refuse_global_random(trial.word):
         again = trial.play(trial.bind(everyone), everyone, turns)
     _require_same(
         records,

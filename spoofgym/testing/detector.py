@@ -61,10 +61,10 @@ def check_detector(detector: DetectorSpec, *, stationary: bool = False) -> None:
     - verdicts have the right shapes and types, and are finite; weights lie within 0 and 1; an
       invisible channel has statistic 0, no alarm and weight 1; there is an alarm where the
       statistic exceeds the threshold, unless `alarm_is_state`;
-    - it neither writes to an epoch nor keeps it, nor hands out arrays that it goes on using;
+    - it neither writes to an epoch nor stores it, nor writes to an array that it returned;
     - a receiver's verdicts don't depend on the batch that it is in, bit for bit;
-    - there is no chance, and all that it remembers is in its `memory`, so that some receivers can
-      be reset, moved, copied and pickled;
+    - it draws no random numbers, and all that it remembers is in its `memory`, so that some
+      receivers can be reset, moved, copied and pickled;
     - its settings fit into JSON, and `bind` sets `silent_epochs` and `memory_epochs` where it has a
       window of up to 60 s.  An average that fades, and a longer window, are not found.
 

@@ -27,7 +27,7 @@ from .contract import (
     Record,
     check_memory,
     explain_read_only,
-    no_global_chance,
+    refuse_global_random,
     require_contract,
     require_fresh,
     run_trial,
@@ -52,9 +52,9 @@ def check_spoofer(
 
     - it states its knowledge, and its tunable setting, if any, has a range;
     - actions have the right shape and type, are finite, and lie within -1 and 1;
-    - observations are neither written to nor stored, and what it returns is not used again;
-    - it keeps receivers apart, has no chance, and remembers in its `memory` alone, as in
-      `check_detector`.
+    - it neither writes to an observation nor stores it, nor writes to an array that it returned;
+    - receivers do not affect one another, it draws no random numbers, and it remembers in its
+      `memory` alone, as in `check_detector`.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def _perform(
     commands.aim(engine.simulator.heading)
     decisions = Decisions(apply_pace(setup, spoofer), RECEIVERS, len(commands.names))
     observations: list[Observation] = []
-    with no_global_chance("spoofer"):
+    with refuse_global_random("spoofer"):
         bound = _bind(spoofer, context)
         for k in range(setup.steps):
             if decisions.due(k):

@@ -260,7 +260,7 @@ class Headings:
     Inertial samples may come at another rate, None for that of the flight.  Velocity and attitude
     are those of the flight; the position is the integral of that velocity over the longer samples,
     as of any flight, and so differs by millimetres.  At a lower rate, the flight's other samples
-    are not kept.
+    are left out.
 
     `step` of the flight [s], `start_e` (3,); `time` (M+1,), `velocity_e` and `C_eb` of every
     `count`-th state; `whole`: the flight, where that is all of them.

@@ -179,8 +179,7 @@ class GroundTruth:
 
 
 def see_geometry(world: GroundTruth) -> FloatArray:
-    """(K, 4n) line of sight to every slot in local axes, 0 where it is not visible, then whether it
-    is."""
+    """(K, 4n) line of sight to every slot in local axes, 0 if not visible, then whether it is."""
     table = np.empty((world.epochs, 4 * world.channels))
     for rows in split_rows(world.epochs):
         given = world.satellites[rows, :, :3], world.position_e[rows], world.C_en[rows]

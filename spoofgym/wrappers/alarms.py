@@ -37,15 +37,15 @@ class AlarmSummary(NamedTuple):
     clean, attacked : int
         Episodes that are over.
     false_alarm : Estimate
-        Part of all episodes with a false alarm.
+        Share of all episodes with an alarm before the first command, or without any.
     false_alarms_per_hour : Estimate
-        The same by the hour of what was clean.
+        The rate of such alarms in the time without attack, monitored starts included [1/h].
     missed : Estimate
-        Part of the attacked episodes, without a false alarm before, that raise no alarm.
+        Share without an alarm of the attacked episodes that have no false alarm.
     delay_s : Estimate
         Mean time from the first command that is not zero to the alarm, where there is one [s].
     undetected_displacement_m : Estimate
-        Mean over the same attacked episodes as `missed` [m].
+        Mean over the attacked episodes that have no false alarm [m].
     """
 
     clean: int

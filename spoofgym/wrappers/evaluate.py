@@ -139,7 +139,7 @@ def evaluate_wrapped(
 
     Wrappers play in this process, which holds the truth: score only those that you trust.
 
-    An alarm counts where there is none before the onset, and none at all in the same run without
+    An alarm counts where no alarm was before the onset, and none at all in the same run without
     the attack; else the run is one without a detector.
 
     Parameters

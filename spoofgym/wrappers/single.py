@@ -130,11 +130,11 @@ def name_twin(env: Any, wrapper: type) -> str:
 
 
 class DetectorWrapper(SingleWrapper):
-    """Sets the detector in the loop, as the argument ``detector=`` does.
+    """Sets the detector in the loop, as ``gym.make(..., detector=...)`` does.
 
     It takes the place of the detector that the environment's id brings.  `wrappers.vector` has the
-    same for vector environments, `spoofgym.sb3` for that of stable-baselines3.  An
-    object that plays with its own thresholds is warned of (`UncalibratedWarning`).
+    same for vector environments, `spoofgym.sb3` for that of stable-baselines3.  A detector object
+    has its own thresholds unless a rate is given, and gives an `UncalibratedWarning` then.
 
     Parameters
     ----------
@@ -142,9 +142,9 @@ class DetectorWrapper(SingleWrapper):
         A `SpoofEnv`, wrapped or not, not reset yet.
     detector : str, mapping, Detector or type
         Name, or name and settings; a detector, or its class; ``"module:Class"``; or the path of an
-        ``.onnx`` file with its card.  As in `make_detector`; an object keeps its own thresholds.
+        ``.onnx`` file with its card.  As in `make_detector`.
     false_alarms_per_hour : float, optional
-        Rate by which thresholds are looked up; by default 0.2, and for an object none.
+        Rate of the calibration that gives the thresholds; by default 0.2, and for an object none.
 
     Raises
     ------
@@ -176,11 +176,11 @@ class DetectorWrapper(SingleWrapper):
 
 
 class EpochInfo(SingleWrapper):
-    """Adds ``info["epochs"]``, as the argument ``epoch=`` does.
+    """Adds ``info["epochs"]``, as ``gym.make(..., epoch=True)`` does.
 
-    All epochs since the last call in order, `Epoch` of one receiver each: after a reset those of
-    the monitored start, in the last step also those of the time to alert.  So a detector that only
-    looks can be any wrapper around this one.
+    It is a tuple of all epochs since the last call in order, `Epoch` of one receiver each: after a
+    reset those of the monitored start, in the last step also those of the time to alert.  So any
+    wrapper around this one can be a passive detector.
 
     Parameters
     ----------
@@ -268,7 +268,8 @@ class ResidualAction(SingleWrapper):
     .. math:: a = \mathrm{clip}(a_{base} + s\, c, -1, 1)
 
     with the correction c of a policy: at 0 the environment plays the base to the bit.  So a learner
-    starts from the best attack that is known.  A policy keeps its base in scores and on its card.
+    starts from the best attack that is known.  Scores play both; the card of the policy
+    names its base.
 
     Parameters
     ----------
@@ -278,7 +279,7 @@ class ResidualAction(SingleWrapper):
         The base, as `make_spoofer` takes it; ``"amplitude"`` fixes how far it goes.
     scale : float, optional
         What a correction of 1 adds, s, in units of the action; by default 0.4 of the largest action
-        of a base that is blind.
+        of an open-loop base, and needed for any other.
 
     Raises
     ------

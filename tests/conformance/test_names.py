@@ -17,7 +17,7 @@ TWINS = {
 }
 """The same thing for single environments, vectors and stable-baselines3."""
 HOUSE_WORDS = {"told", "nobody", "somebody", "everybody", "whom", "anew", "asked", "kept"}
-SETTINGS = {"kept"}  # of `AttackBudget`: names of settings are data
+SETTINGS = {("best_response.py", "kept")}  # of `AttackBudget`: names of settings are data
 
 
 def test_no_two_public_classes_or_functions_share_a_name():
@@ -36,7 +36,7 @@ def test_identifiers_have_none_of_the_words_that_the_house_has_left():
         for node in ast.walk(sources.tree_of(path)):
             name = getattr(node, "name", None) or getattr(node, "id", None)
             name = name or getattr(node, "arg", None) or getattr(node, "attr", None) or ""
-            if isinstance(name, str) and name not in SETTINGS:
+            if isinstance(name, str) and (path.name, name) not in SETTINGS:
                 assert not HOUSE_WORDS.intersection(name.split("_")), (path.name, name)
 
 

@@ -142,7 +142,7 @@ def test_arrays_and_archives_are_refused_from_their_headers(tmp_path: Path) -> N
     whole = io.BytesIO()
     np.save(whole, np.arange(6.0).reshape(2, 3))
     assert parse_array(whole.getvalue()).tolist() == [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]
-    with pytest.raises(FileError, match="its header is none of an array"):
+    with pytest.raises(FileError, match="its header is not that of an array"):
         parse_array(b"no array")
     path = tmp_path / "zeros.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:

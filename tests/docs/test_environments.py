@@ -6,7 +6,7 @@ import gymnasium as gym
 import pytest
 
 from spoofgym.truth.sensors import IMU_GRADES
-from tools.environments_page import IDS, build_detector_page, build_spoofer_page
+from tools.environments_page import IDS, build_detector_page, build_spoofer_page, format_bounds
 
 from ..nightly import heavy
 from .pages import text_of
@@ -20,6 +20,9 @@ def test_a_page_is_that_of_its_environment(name):
     *_, last = re.findall(r"^[|] (?:\d+-)?(\d+) [|]", page, flags=re.MULTILINE)
     blind, tracking, oracle, every = re.findall(r"(\d+) elements", page)[:4]
     assert int(last) + 1 == int(every) == len(env.observation_names)
+    space = env.observation_space
+    for first, bounds in re.findall(r"^[|] (\d+)\S* [|].*[|] (.*) [|]$", page, re.MULTILINE):
+        assert bounds == format_bounds(space.low[int(first)], space.high[int(first)])
     assert f" | {blind} ({tracking}, {oracle}): " in text_of("environments.md")
 
 

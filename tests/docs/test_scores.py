@@ -5,7 +5,7 @@ import json
 import pytest
 
 from spoofgym.bench.experiments.suite import SPOOFERS as STANDARD
-from spoofgym.bench.report.campaign import WIDTHS, WORST, state_answer
+from spoofgym.bench.report.campaign import WIDTHS, WORST, list_spoofer_rows, state_answer
 from spoofgym.core.settings import compute_digest
 from tools.headlines import DATA_FILE, END, START, WORLD, shown
 from tools.pages import part_between
@@ -36,6 +36,16 @@ def test_the_terminal_shows_a_row_for_each_detector_within_100_columns_and_the_a
     answer = state_answer(world)
     assert answer.startswith(f"Tightest of {len(rows) - 2}: {best}")
     assert answer.endswith("/h (requested 0.2).")
+    assert "m undetected in half of the runs (worst of the attack suite: " in answer
+    rows = list_spoofer_rows(world)
+    assert max(map(len, rows)) <= 96
+    assert " ".join(rows[0].split()) == "detector spoofer at most 5 % of alarms [m]"
+    best = [line for line in rows if line.startswith("snapshot-chi2 ")]
+    assert [line.split()[1] for line in best] == [
+        each["spoofer"]
+        for each in world["cells"]
+        if each["detector"].startswith("snapshot-chi2") and each["spoofer"] != "none"
+    ]
     none = {**world, "protection": []}  # without the attack suite
     assert "undetected in the mean at 5 % of alarms (worst: " in state_answer(none)
 

@@ -20,13 +20,16 @@ def table_of(kind):
 
 @pytest.mark.parametrize("kind", TERMS)
 def test_the_table_is_that_of_the_registry(kind):
-    rows = []
+    rows, setup = [], gym.make("spoofgym/Zhong2025-v0").unwrapped.core.setup
     for name, term in TERMS[kind].items():
         settings = [
             f"`{f.name}`" if f.default is dataclasses.MISSING else f"`{f.name}={f.default!r}`"
             for f in dataclasses.fields(term)
         ]
-        known = [term.knowledge] if kind == "observation" else []
+        known = []
+        if kind == "observation":
+            size = "-" if name == "own-offsets" else len(term().names(setup))
+            known = [term.knowledge, str(size)]
         text = " ".join(term.__doc__.split("\n\n")[0].split())
         cells = [f"`{name}`", ", ".join(settings) or "none", *known, text]
         rows.append(f"| {' | '.join(cells)} |")

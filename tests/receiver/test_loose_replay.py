@@ -197,7 +197,7 @@ REFUSED = {
     "zeros": (lambda r: {"position_e": np.nan_to_num(r.position_e)}, "mark of an absent one"),
     "local": (
         lambda r: {"velocity_e": np.tile([60.0, 52.0, 0.0], (len(r.gnss_time), 1))},
-        "but positions move otherwise",
+        "but positions move differently",
     ),
     "km/h": (lambda r: {"velocity_e": 3.6 * np.asarray(r.velocity_e)}, "is it in km/h"),
     "g": (lambda r: {"specific_force_b": np.asarray(r.specific_force_b) / 9.8}, "is it in g"),

@@ -174,11 +174,11 @@ REFUSED = {
     "rates in km/s": (lambda r: {"range_rate": r.range_rate / 1e3}, r"is it in km/s\?"),
     "satellites at rest": (
         lambda r: {"satellite_velocity_e": 0.0 * r.satellite_velocity_e},
-        "moves otherwise, by .* m/s in the median .do they belong together",
+        "moves differently, by .* m/s in the median .do they belong together",
     ),
     "satellite velocities in km/s": (
         lambda r: {"satellite_velocity_e": r.satellite_velocity_e / 1e3},
-        r"moves otherwise, .* \(is it in km/s\?\)",
+        r"moves differently, .* \(is it in km/s\?\)",
     ),
     "inertial velocities": (
         lambda r: {

@@ -326,7 +326,7 @@ def test_what_no_longer_behaves_so_is_told_and_draws_by_last_bits_are_not(setup,
         return dataclasses.replace(calibrated[2], witnesses=tuple(kept))
 
     check(setup, [altered(0.5 * TOLERANCE)], "ewma")
-    with pytest.raises(ValueError, match=r"no longer holds: the largest ratio of run 3 in it is"):
+    with pytest.raises(ValueError, match=r"no longer holds: .* of run 3 in it is"):
         check(setup, [altered(3.0 * TOLERANCE)], "ewma")
     # one bit of one innovation, as NumPy for other instructions computes it, is another draw
     (found,) = calibrate_detectors(setup, "lottery", runs=30, false_alarms_per_hour=2.0 * RATE)

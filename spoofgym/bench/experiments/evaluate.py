@@ -203,7 +203,7 @@ def evaluate(
     ----------
     policy : object
         A model of stable-baselines3, with the ``VecNormalize`` of its environment folded in, which
-        a model that was loaded has only if it was given ``env=`` (else a warning says so); a torch
+        a model that was loaded has only if it was given ``env=`` (else it is refused); a torch
         module; a function of (B, o) observations that returns (B, a) actions; a `Spoofer`;
         its name, or name and settings; or the path of an ``.onnx`` file with its card.
     task : str, optional

@@ -170,9 +170,11 @@ class Game:
     payoff : {"stealth", "hmi"}
         As in `RunPayoff`.
     limit_m : float, optional
-        Alert limit or length; that of the task by default.
-    runs, entropy, split : optional
-        Evaluation runs, their seed, and what they are for, of `SPLITS`.
+        Alert limit of the payoff [m]; that of the task by default, needed in another world.
+    runs, entropy : int, optional
+        Number of runs of every pair, at least 2, and their seed.
+    split : str, optional
+        What the runs are for: one of `SPLITS` except ``"calibration"``.
     folder : path, optional
         Where every entry is stored as soon as it is finished; a killed process goes on from there.
     threads : int, optional

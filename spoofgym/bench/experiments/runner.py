@@ -147,7 +147,7 @@ def parse_shard(text: str) -> tuple[int, int]:
 
 def _check_shard(i: int, n: int) -> tuple[int, int]:
     if not 1 <= i <= n:
-        raise ValueError(f"shard {i}/{n} is not there: {f'1/{n} to {n}/{n} are' if n > 0 else ''}")
+        raise ValueError(f"a shard must be i/n with i from 1 to n, got {i}/{n}")
     return i, n
 
 

@@ -170,7 +170,10 @@ class Store:
     def check_code(self) -> None:
         """Raise where this process has other code or versions than the one that opened it."""
         if unlike := _format_diff(code_identity(), self.config["code"]):
-            raise ValueError(f"a worker has other code than {self.path}: {unlike}")
+            raise ValueError(
+                f"a worker has other code than the process that opened {self.path}: {unlike}; "
+                "install the same versions for both"
+            )
 
     def build_path(self, key: str) -> Path:
         name = re.sub(r"[^A-Za-z0-9._=]+", "-", key).strip("-.")[:LONGEST_NAME]

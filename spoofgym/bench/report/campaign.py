@@ -459,6 +459,7 @@ WORST = Table(
 """A detector, and what the worst attack of the suite exceeds undetected."""
 WIDTHS = (44, 22, 10, 20)
 """Of its columns."""
+SPOOFER_WIDTHS = (38, 24, 30)
 
 
 class WorstRows:
@@ -471,12 +472,20 @@ class WorstRows:
     def list_new(self, results: CampaignResults) -> list[str]:
         """Lines of detectors that have been finished since the last call."""
         found = [worst for each in self.waiting if (worst := results.protection(each)) is not None]
-        scores = [(each.detector, scoring.score_protection(each, ())) for each in found]
-        rows = [{"detector": name, "protection": score} for name, score in scores]
+        scores = [scoring.score_protection(each, ()) for each in found]
+        rows = [{"detector": x["detector"], "protection": x} for x in scores]
         self.waiting = [x for x in self.waiting if x not in {each.detector for each in found}]
         lines = [line for row in rows for line in WORST.lines(row, WIDTHS)]
         titles, self.titles = (self.titles, []) if rows else ([], self.titles)
         return [*titles, *lines]
+
+
+def list_spoofer_rows(summary: Row) -> list[str]:
+    """Lines of a table that shows what every spoofer gets within the alarm budget."""
+    title = f"at most {100 * summary['budget']:g} % of alarms [m]"
+    table = Table(WORST.columns[0], ("spoofer", "spoofer"), (title, dict, _optimum))
+    cells = [x | x["stealthy_displacement_m"] for x in summary["cells"] if x["spoofer"] != "none"]
+    return [line for cell in (None, *cells) for line in table.lines(cell, SPOOFER_WIDTHS) if cells]
 
 
 def select_reach(row: Row) -> Row | None:
@@ -498,13 +507,14 @@ def state_answer(summary: Row) -> str:
         each for each in scores if scoring.extract_name(each[0]["detector"]) not in scoring.CONTROLS
     ]
     row, found = min(own or scores, key=lambda each: each[1]["value"])
-    where = f"in the mean at {100 * summary['budget']:g} % of alarms"
-    where = "in half of the runs" if protections else where
+    where, worst = f"in the mean at {100 * summary['budget']:g} % of alarms", "worst"
+    if protections:
+        where, worst = "in half of the runs", "worst of the attack suite"
     claimed = row["claimed"]
     requested = f" (requested {claimed['false_alarms_per_hour']:g})" if claimed else ""
     return (
         f"{f'Tightest of {len(own)}: ' if len(own) > 1 else ''}"
-        f"{shorten_label(row['detector'])}: {interval(found)} m undetected {where} (worst: "
+        f"{shorten_label(row['detector'])}: {interval(found)} m undetected {where} ({worst}: "
         f"{found['spoofer']}), false alarms "
         f"{metres(row['false_alarms_per_hour']['value'])}/h{requested}."
     )

@@ -44,7 +44,8 @@ FEW = 4  # curves that are drawn with their bands
 WORST = "worst attack, 50 %"
 AT_BUDGET = (
     "The amplitude is that at which exactly this share of the evaluation runs alarms. The "
-    "intervals include its fit and the spread of the threshold, which clean runs set."
+    "intervals include its fit and the spread of the threshold, which clean runs set. The "
+    "strongest is chosen on one half of the runs, scored on the other, and may lie below the best."
 )
 
 

@@ -265,8 +265,7 @@ def _draw_line(ax: Axes, line: Line, look: dict[str, Any]) -> None:
 def play_frames(
     suite: Suite, detector: PlayerSpec, spoofer: PlayerSpec, run: int = 0, *, every: int = 1
 ) -> Iterator[NDArray[np.uint8]]:
-    """Play one of the evaluation runs, and draw it; an alarm does not end it. Yields (H, W, 3)
-    uint8."""
+    """Play one of the evaluation runs, and draw it; no alarm ends it. Yields (H, W, 3) uint8."""
     run, every = whole_number("`run`", run), whole_number("`every`", every, 1)
     setup = suite.setup(detector, [spoofer])
     commands = make_command_map(make_spoofer(spoofer.spec), setup)

@@ -84,8 +84,7 @@ def render_page(page: Page) -> str:
 
 
 def write_page(store: Store, page: Page) -> list[Path]:
-    """Write a report, and its scores if any, into the folder of an experiment; returns the
-    files."""
+    """Write a report, and its scores if any, into an experiment's folder; returns the files."""
     written = []
     if page.scores is not None:
         scores = json.dumps(page.scores, indent=1, allow_nan=False) + "\n"

@@ -312,8 +312,8 @@ def specify_player(given: Any, side: str) -> PlayerSpec:
                 raise
             if given.oracle:
                 raise ValueError(
-                    f"{type(given).__name__} is given what no receiver can know: no member of a "
-                    "game"
+                    f"{type(given).__name__} is given what no receiver can know: leave it out "
+                    "of the game"
                 ) from None
             name, seeds = type(given).__name__, _collect_seeds(given)
             return PlayerSpec(name, DETECTOR, None, decided_on=seeds, thing=given)

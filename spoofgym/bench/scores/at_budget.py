@@ -48,8 +48,7 @@ PARTS = ("amplitudes", "alarm_amplitude", "alarmed", "sky")  # arrays that are s
 
 @dataclass(frozen=True)
 class AlarmCurve:
-    """What an attack does at J `amplitudes`, increasing, around the budget, on the R runs that
-    count.
+    """What an attack does at J `amplitudes`, increasing, around the budget, on R counted runs.
 
     - `alarm_amplitude` (R,); the first or the last amplitude where it lies beyond them;
     - `displacement` by measure (J, R), undetected [m]; `alarmed` (J, R); `sky` (R,) of each run;

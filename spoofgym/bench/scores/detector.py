@@ -20,8 +20,7 @@ WINDOW, CLEAN = "clean, judged window", "clean"
 
 
 class FamilyScore(NamedTuple):
-    """One family of attacks against one detector; `found`: the worst, and how far each came in each
-    run."""
+    """One family of attacks against one detector; `found`: the worst, and how far each came."""
 
     family: str
     held_out: bool

@@ -24,8 +24,7 @@ GAP = 1e-7  # largest part of the range of the payoffs by which both sides' guar
 
 
 class Equilibrium(NamedTuple):
-    """Mixes (m,) of rows and (n,) of columns from which neither gains by leaving; `pure`: of one
-    each."""
+    """Mixed strategies (m,) of rows, (n,) of columns in equilibrium; `pure`: of one each."""
 
     spoofer: FloatArray
     detector: FloatArray
@@ -98,8 +97,7 @@ def gains(payoff: ArrayLike, spoofer: ArrayLike, detector: ArrayLike) -> tuple[f
 
 
 class Spread(NamedTuple):
-    """An equilibrium with intervals over bootstrap samples; `pure`: part of them with a pure
-    one."""
+    """An equilibrium with intervals over bootstrap samples; `pure`: share of pure ones."""
 
     value: Estimate
     spoofer: tuple[Estimate, ...]

@@ -87,17 +87,8 @@ class SpooferScore:
         return percentiles(float(mine.sum()) / base if base else math.nan, drawn)
 
     def as_dict(self) -> dict[str, Any]:
-        plain = (
-            "task",
-            "world",
-            "detector",
-            "spoofer",
-            "knowledge",
-            "setting",
-            "value",
-            "runs",
-            "counted",
-        )
+        players = ("task", "world", "detector", "spoofer", "knowledge")
+        plain = (*players, "setting", "value", "runs", "counted")
         return {
             **{name: getattr(self, name) for name in plain},
             "stealthy_displacement_m": self.stealthy_displacement_m.as_json(),
@@ -114,10 +105,12 @@ class SpooferScore:
         alarms = interval({k: _percent(v) for k, v in self.alarm_rate._asdict().items()}, 1)
         what = "" if self.value is None else f", {self.setting} {self.value:.4g}"
         over = "" if self.keeps_budget else f", over the budget of {100 * self.budget:g} %"
-        at = "" if self.at_budget is None else f" at exactly {100 * self.budget:g} % of alarms"
+        exact, at = self.at_budget, ", alarms"
+        if exact is not None and (exact["silent_share"] or 0.0) <= 1.0 - self.budget:
+            at = f" at {100 * self.budget:g} % of alarms, interpolated; as played, alarms"
         return (
             f"{self.spoofer} ({self.knowledge}{what}) against {where}: "
-            f"{self.stealthy_displacement_m} m{at}, alarms {alarms} % of {self.counted} runs{over}"
+            f"{self.stealthy_displacement_m} m{at} in {alarms} % of {self.counted} runs{over}"
         )
 
 

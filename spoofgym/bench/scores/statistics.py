@@ -174,8 +174,7 @@ def bounded_mean(values: ArrayLike, clusters: ArrayLike, least: float) -> Estima
 
 
 def largest_of_share(values: ArrayLike, share: float, samples: FloatArray) -> FloatArray:
-    """(S,) largest value of (R,) that at least a share of the runs reach, in bootstrap samples (S,
-    R)."""
+    """(S,) largest value of (R,) that at least a share of the runs reach, in bootstraps (S, R)."""
     x = np.asarray(values, dtype=np.float64)
     order = np.argsort(-x, kind="stable")
     reached = np.cumsum(samples[:, order], axis=1)

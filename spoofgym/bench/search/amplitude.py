@@ -42,7 +42,7 @@ RESOLUTION = 1.02
 
 @settings_record(frozen=True, kw_only=True)
 class Tuning:
-    """How a spoofer's setting is searched for."""
+    """How a spoofer's amplitude is searched for, within an alarm budget."""
 
     runs: int = setting(default=1024, least=2, help="Training runs.")
     sift_runs: int = setting(
@@ -60,18 +60,20 @@ class Tuning:
         default=BUDGET,
         above=0.0,
         below=1.0,
-        help="Largest P(alarm | silent twin), which its upper 95 % limit on the training runs "
-        "keeps.",
+        help="Largest P(alarm | silent twin): of the runs whose clean twin raises no alarm, the "
+        "share with an alarm under attack.",
     )
     rule: str = setting(
         default=UPPER_LIMIT,
         one_of=RULES,
-        help="Whether the budget is kept by the upper limit of the alarm rate, or met exactly.",
+        help="What has to keep to the budget: ``upper-limit``, the upper 95 % limit of the alarm "
+        "rate on training runs; ``exact``, the alarm rate itself on the runs that are scored.",
     )
     quick: bool = setting(
         default=False,
         omitted=True,
-        help="Whether an open-loop attack is looked for on few runs, for the alarm budget alone.",
+        help="Whether the search for an open-loop attack takes 96 runs and aims at the budget "
+        "alone, not at half of the runs alarming and at the alert limit, too.",
     )
 
     def as_dict(self) -> dict[str, Any]:

@@ -112,7 +112,7 @@ class DisplacementBounds:
         return setup if isinstance(setup, TightlyCoupledSetup) else None
 
     def compute_lower_limit(self) -> dict[str, Any]:
-        """Floor over the drawn worlds, or why there is none."""
+        """Floor over the drawn worlds, or why it is missing."""
         if self.setup is None:
             return {"why": f"no limit is known for {self.world.setup.whose}"}
         try:

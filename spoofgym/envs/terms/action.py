@@ -78,7 +78,8 @@ class AlongTarget:
     def names(self, setup: Setup) -> tuple[str, ...]:
         if setup.target_heading_deg == "worst":
             raise ValueError(
-                "an element along the target direction needs one; `target_heading_deg` is 'worst'"
+                "an element along the target direction needs `target_heading_deg` as an angle or "
+                "'random', got 'worst'"
             )
         _horizontal_limit(setup, "an element along the target direction")
         return (f"along_target_{setup.attack.control}",)
