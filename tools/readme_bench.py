@@ -14,7 +14,6 @@ import json
 import re
 import sys
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 from agents.folder import write_json
@@ -32,7 +31,7 @@ from tools.pages import DOCS, ROOT, put_between, render_page
 
 README, SHARED, DRAWN = ROOT / "README.md", DOCS / "bench.json", DOCS / "campaign.png"
 START, END = "<!-- bench:start -->", "<!-- bench:end -->"
-RESIDUAL, LEARNED = DOCS / "residual.json", DOCS / "learned.json"
+LEARNED = DOCS / "learned.json"
 HOLDOUTS = DOCS / "holdouts.json"
 SHOWN = {
     "solution-separation(filter=augmented,spacing=geometric)": "solution separation, own filter",
@@ -53,7 +52,7 @@ def label(detector: str) -> str:
     return re.sub(r"\(false_alarms_per_hour=0\.2\)|, false_alarms_per_hour=0\.2", "", detector)
 
 
-def shown(world: dict[str, Any], residual: dict[str, Any], learned: dict[str, Any]) -> str:
+def shown(world: dict[str, Any], learned: dict[str, Any]) -> str:
     cells = {(cell["detector"], cell["spoofer"].partition("(")[0]): cell for cell in world["cells"]}
     protections = {label(row["detector"]): row for row in world["protection"]}
     names = {label(row["detector"]): row["detector"] for row in world["detectors"]}
@@ -71,11 +70,12 @@ def shown(world: dict[str, Any], residual: dict[str, Any], learned: dict[str, An
         ("worst in half of the runs [m]", lambda x: headline(protections[x], 0.5), interval),
     )
     values = {"table": table.markdown(SHOWN), "over": OVER, "policies": policies}
-    values["learned"] = [_describe_learned(*each) for each in residual["detectors"].items()]
     values["gains"] = [_describe_gain(x, learned) for x in SHOWN if x in policies]
     values["counted"] = _count_false_alarms()
     values["audited"] = _find_audited()
-    values["whole"] = metres(cells["never", "ramp"]["stealthy_displacement_m"]["value"])
+    values["charted"] = world["calibrations"]["ewma"][0]["runs"]
+    ramps = cells["never", "ramp"], cells[names[next(iter(SHOWN))], "ramp"]
+    values["whole"], values["ramp"] = (metres(x["stealthy_displacement_m"]["value"]) for x in ramps)
     return render_page("bench.md.j2", world=world, **values)
 
 
@@ -108,14 +108,6 @@ def _find_audited() -> str:
     card = stored_detector_cards()["D1"]
     (best,) = (x for x in card["detectors"] if x["detector"] == card["best_classic"])
     return f"{best['exceeded_m']['0.5']['value']:.0f}"
-
-
-def _describe_learned(detector: str, found: dict[str, Any]) -> str:
-    """What PPO that corrects feedback reaches, median of its seeds, beside feedback alone."""
-    seeds = [each["kept"]["score"] for each in found["rows"]["feedback statistics"]["seeds"]]
-    middle = median(each[MEASURES[0]]["value"] for each in seeds)
-    alone = metres(found["scripts"]["feedback, base"]["score"][MEASURES[0]]["value"])
-    return f"{metres(middle)} m against `{detector}` (`feedback` alone: {alone} m)"
 
 
 def _format_displacement(cell: dict[str, Any]) -> str:
@@ -151,9 +143,7 @@ def main(arguments: list[str]) -> None:
     (group,) = groups(world)
     dots = picture_displacements(world, group)
     save_drawing(dots.draw, dots.height_in, DRAWN)
-    put_between(
-        README, START, END, shown(world, *(json.loads(x.read_text()) for x in (RESIDUAL, LEARNED)))
-    )
+    put_between(README, START, END, shown(world, json.loads(LEARNED.read_text())))
 
 
 if __name__ == "__main__":

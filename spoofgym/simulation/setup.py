@@ -294,8 +294,7 @@ class Setup(ABC):
     def require_one_age(self, what: str) -> None:
         require(
             self.youngest == self.onset,
-            f"{what} needs receivers of one age at the onset, but the domain's `age_s` is "
-            f"{self.domain.age_s}",
+            f"ages are drawn: {what} needs one age at the onset, not `age_s` {self.domain.age_s}",
         )
 
     def _starts(self, epochs: int, name: str) -> tuple[int, int]:

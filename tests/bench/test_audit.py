@@ -19,7 +19,9 @@ from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
 from spoofgym.bench.scores.audit import AgeProbe, Audit
 from spoofgym.bench.scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
 from spoofgym.bench.scores.scores import SHARES
-from spoofgym.detectors import Calibrated, Never, Verdict
+from spoofgym.detectors import Calibrated, Never, SnapshotChi2, Verdict
+from spoofgym.limits.bounds import zero_alarm_bounds
+from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.tasks import EVENTS
 
 from ..command_line import refused
@@ -172,6 +174,16 @@ def test_every_warning_stands_where_it_is_earned(audit, message):
     assert max(map(len, lines)) <= WIDTH
     assert message.split(":")[0] in " ".join(" ".join(lines).split())
     assert json.dumps(audit.as_dict(), allow_nan=False)
+
+
+def test_a_bound_that_is_not_known_has_its_reason_in_a_few_words():
+    domain, why = {"age_s": (30.0, 120.0)}, "no zero-alarm bound for Ewma: its weights change; more"
+    setup = TightlyCoupledSetup(timeline={"warmup_s": 30.0, "live_s": 10.0}, domain=domain)
+    aged = zero_alarm_bounds(setup, SnapshotChi2(), []).as_json()
+    for bound, reason in ((aged, "ages are drawn"), ({**aged, "why": why}, "its weights change")):
+        ramps = family("ramps", 10.0)
+        known = ramps._replace(protection=replace(ramps.protection, head={"zero_alarm": bound}))
+        assert f"alarm exceeds   not known ({reason})" in " ".join(format_screen(audit_of(known)))
 
 
 def test_runs_that_are_all_the_same_leave_an_interval():

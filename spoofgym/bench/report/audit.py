@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -59,8 +60,7 @@ def _head(found: dict[str, Any]) -> Iterator[str]:
 def _figures(found: dict[str, Any]) -> Iterator[str]:
     reference, floor = found["reference"], found["floor_m"]
     yield _row("", "this detector", "" if reference is None else "best non-learned")
-    requested = found["requested_per_hour"]
-    measured = interval(found["false_alarms_per_hour"])
+    requested, measured = found["requested_per_hour"], interval(found["false_alarms_per_hour"])
     yield _row(
         "false alarms an hour",
         measured + (", as published" if requested is None else f", requested {requested:g}"),
@@ -97,7 +97,8 @@ def _bound(bound: dict[str, Any] | None) -> str:
         return "not looked for: needs the family open-loop"
     value = bound["restricted_m"] or bound["free_m"]
     if value is None:
-        return textwrap.shorten(f"not known: {bound['why']}", WIDTH - LABEL, placeholder=" ...")
+        reason = re.split("[:;] ", re.sub("^no .*?: ", "", bound["why"]))[0]
+        return textwrap.shorten(f"not known ({reason})", WIDTH - LABEL, placeholder=" ...")
     return value if isinstance(value, str) else f"{format_number(value)} m in the mean"
 
 
