@@ -34,7 +34,8 @@ each_task = pytest.mark.parametrize("key", DETECTOR_TASKS)
 def test_held_out_families_are_not_in_the_public_pool(key):
     task = DETECTOR_TASKS[key]
     assert task.task is TASKS[WORLDS[key]]
-    assert (*task.public, *task.held_out) == task.families
+    keys = [each.key for each in task.families]
+    assert keys == [each.key for each in (*task.public, *task.held_out)], "public ones come first"
     assert not {each.key for each in task.public} & {each.key for each in task.held_out}
     for family in task.public:  # in the task's own world, at any onset
         assert (task.get_overrides(family), family.onset) == ({}, None)
@@ -120,7 +121,9 @@ def test_cards_are_of_these_tasks_as_is_the_page_and_what_is_missing_has_its_com
         task = DETECTOR_TASKS[key]
         for score in card["detectors"]:
             families = {each["family"]: each for each in score["families"]}
-            assert list(families) == [family.key for family in task.families]
+            assert list(families) == [family.key for family in task.families], (
+                f"{key} has a card of other families: `python -m tools.detector_cards {key}`, hours"
+            )
             worst = max(each["p_hmi"]["value"] for each in families.values())
             assert score["p_hmi"]["value"] == worst
             assert families[score["worst_family"]]["p_hmi"]["value"] == worst
