@@ -305,7 +305,7 @@ def test_a_campaign_shows_its_scores_at_the_budget(tmp_path):
 
 def test_the_best_curve_of_a_search_is_scored_where_it_was_not_chosen(monkeypatch):
     few = OpenLoopSearch(runs=8, batch=4, knots=4, population=4, generations=1)
-    monkeypatch.setattr(open_loop, "OpenLoopSearch", lambda: few)
+    monkeypatch.setattr(open_loop, "LONG", few)
     judge = Evaluator(**WORLD, runs=60, fit_runs=80, rule=EXACT)
     found = judge.fit({"name": "open-loop", "amplitude": "tuned"})
     curves = found.found["fitted_m"]

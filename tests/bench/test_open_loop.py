@@ -9,6 +9,7 @@ from scipy import special
 
 from spoofgym.bench import run_campaign
 from spoofgym.bench.experiments.campaign import list_optima
+from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.runs.panel import Panel
 from spoofgym.bench.runs.play import WarmStart, play
 from spoofgym.bench.runs.players import specify_spoofer
@@ -247,7 +248,7 @@ FEW = OpenLoopSearch(runs=8, batch=4, knots=4, population=4, generations=2)
 def _few():
     """Let searches of campaigns take a second."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(open_loop, "OpenLoopSearch", lambda: FEW)
+        patch.setattr(open_loop, "LONG", FEW)
         yield
 
 
@@ -344,3 +345,15 @@ def test_one_without_rates_must_be_tuned():
         ValueError, match="an open-loop attack is looked for under the alarm budget"
     ):
         blind_suite(spoofers=("open-loop",)).check_fit()
+
+
+def test_a_search_keeps_within_what_the_actions_of_an_environment_command():
+    times = {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}
+    papers = {"scenario": "zhong2025", "receiver": None, "domain": None, "timeline": times}
+    sizes = {"detector": "never", "runs": 4, "fit_runs": 80}
+    judge = Evaluator(env="spoofgym/Offsets-v0", settings={**papers, "basis": "rotated"}, **sizes)
+    judge.optima.settings = FEW
+    found = judge.optima.find(judge.detector, specify_spoofer("open-loop"), lambda part: None)
+    fastest = max(found["aims"][AIMS[0]]["rates_mps"])
+    assert fastest == judge.world.context.largest_rate[1] == 1.0
+    assert fastest < judge.world.setup.attack.rate_limit_mps
