@@ -32,7 +32,7 @@ def test_the_terminal_shows_a_row_for_each_detector_within_100_columns_and_the_a
     assert len(lines) <= 2 * len(rows)
     assert max(map(len, lines)) <= 100
     assert " ".join(lines[0].split()) == "detector in 50 % of runs [m] in 5 % [m] worst attack"
-    best = "solution-separation(filter=augmented,spacing=geometric): 31.6 ("
+    best = "solution-separation(filter=augmented,spacing=geometric): 33.1 ("
     answer = state_answer(world)
     assert answer.startswith(f"Tightest of {len(rows) - 2}: {best}")
     assert answer.endswith("/h (requested 0.2).")
