@@ -5,6 +5,7 @@ python -m tools.costs demo "run, picture"   # measures these rows; without names
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import platform
@@ -19,6 +20,7 @@ from typing import Any
 
 from agents.folder import write_json
 from spoofgym.bench.report.table import Table
+from spoofgym.core.registry import check_choice
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 from tools.pages import DOCS, ROOT, marks, put_between
 
@@ -64,7 +66,12 @@ def build_tables(kept: dict[str, Any]) -> str:
     return f"Measured on: {kept['machine']}.\n\n{measured}\n\nOf stored results:\n\n{stored}\n"
 
 
-def main(names: list[str]) -> None:
+def main(arguments: list[str]) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("rows", nargs="*", help=f"what is measured: {', '.join(COMMANDS)}")
+    names = parser.parse_args(arguments).rows
+    for name in names:
+        check_choice("row", name, COMMANDS)
     kept = json.loads(DATA_FILE.read_text()) if DATA_FILE.exists() else {"rows": {}}
     for name in names:
         kept["rows"][name] = measure(COMMANDS[name])
