@@ -173,7 +173,7 @@ class SpoofVecEnv(VecEnv):
         self._actions = opt.checked_action(actions, shape, self.action_names)
 
     def step_wait(self) -> tuple[opt.Array, opt.Array, opt.Array, list[dict[str, Any]]]:
-        """Run one epoch; where an episode has ended, the next one is observed."""
+        """Run one decision; where an episode has ended, the next one is observed."""
         if self._actions is None:
             raise RuntimeError("call step_async() before step_wait()")
         self._halfway = True
@@ -309,7 +309,7 @@ class _Composed(VecEnvWrapper):
         return self.venv.reset()
 
     def step_wait(self) -> Any:
-        """Run one epoch."""
+        """Run one decision."""
         return self.venv.step_wait()
 
 
