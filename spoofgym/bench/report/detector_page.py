@@ -114,11 +114,14 @@ def write_score_verdict(record: Row) -> list[str]:
     half, few = (interval(record["exceeded_m"][share]) for share in ("0.5", "0.05"))
     rate, limit = interval(record["false_alarms_per_hour"]), f"{record['alert_limit_m']:g} m"
     lines = [record["answer"] + "."] if "answer" in record else []
+    lines += [f"Warning: {text}." for text in record.get("warnings", [])]
+    lines += [f"Simulated world: {record['title']}."] if "title" in record else []
     lines.append(
-        f"{record['detector']}: under its worst family of attacks, {record['worst_family']}, the "
-        f"error is beyond {limit} without an alarm in time in {percent(record['p_hmi'])} % of the "
-        f"runs. The worst attacks displace by {half} m in half of the runs and by {few} m in 5 % "
-        f"of them. False alarms: {rate} an hour."
+        f"{record['detector']}: under the family of attacks that is worst by this measure, "
+        f"{record['worst_family']}, the error is beyond {limit} without an alarm in time in "
+        f"{percent(record['p_hmi'])} % of the runs. The attacks that displace most, by {half} m in "
+        f"half of the runs and by {few} m in 5 % of them, may be of another family. False alarms: "
+        f"{rate} an hour."
     )
     if "ages" in record:
         ages = record["ages"]
@@ -127,19 +130,18 @@ def write_score_verdict(record: Row) -> list[str]:
             for age, share in zip(ages["age_s"], ages["found"], strict=True)
         )
         lines.append(
-            f"An attack and the time to alert together last {record['window_s']:g} s. Of plain "
-            f"ramps that pass {limit}, {percent(ages['missed'])} % raise no alarm in time. By the "
-            f"time from switch-on to the attack, it finds of these ramps {found}."
+            f"By the time from switch-on to the attack, it finds of plain test ramps {found}. Of "
+            f"those that pass {limit}, over all these times, {percent(ages['missed'])} % raise no "
+            f"alarm in time. Attack and time to alert last {record['window_s']:g} s together."
         )
         if record["floor_m"] and (floor := record["floor_m"]["half"]["value"]) is not None:
-            lines.append(f"A perfect detector would still allow {metres(floor)} m in half of them.")
+            lines.append(f"A perfect detector would allow {metres(floor)} m in half of the runs.")
         if other := record["reference"]:
             moved = interval(other["exceeded_m"]["0.5"])
-            lines.append(f"Against {other['detector']}, the best non-learned one, it is {moved} m.")
+            lines.append(f"{other['detector']}, the best non-learned one, allows {moved} m there.")
     few_runs = record["exceeded_m"]["0.05"]["high"] is None
     return [
         *lines,
-        *(f"Warning: {text}." for text in record.get("warnings", [])),
         f"{record['runs']} runs of every family, attacks chosen on {record['selection_runs']} "
         f"others{', too few to bound what 5 % exceed' if few_runs else ''}; in brackets 95 % "
         "intervals. Another attack may reach more.",
@@ -182,7 +184,7 @@ def list_score_pictures(
     if ages := [_ages(each) for each in records if "ages" in each]:
         title, caption = "Found at every age", "Test ramps found, by time from switch-on to onset."
         draw = figures.draw_lines(ages, "time since switch-on [s]", "share found", log="x")
-        pictures.append(Picture(title, caption, draw))
+        pictures.insert(0, Picture(title, caption, draw))
     return pictures
 
 

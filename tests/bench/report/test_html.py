@@ -149,7 +149,7 @@ def test_families_of_attacks_have_a_page_finished_or_not(tmp_path):
     named = {"family": {"key": "ramps", "held_out": False}, **sizes}
     store.put(Cell("ramps half", named), Result(*half))
     assert [*build_scores_page(store, scores).missing] == ["half / quiet"]
-    assert f"worst family of attacks, {score.worst.family}, the error is beyond 20 m" in text
+    assert f"worst by this measure, {score.worst.family}, the error is beyond 20 m" in text
     assert "<p>Warning: blind after 10 min.</p>" in text
     assert NAME not in text
 
