@@ -138,3 +138,9 @@ def test_make_bench_plays_rows_of_the_full_run_and_agrees_by_interval(full):
                 assert apart <= 0.01 * abs(other["value"]), (name, score)
             else:  # the whole way of an attack has an interval of some centimetres
                 assert max(apart, less) <= 1e-3 * abs(other["value"]), (name, score)
+
+
+def test_the_first_commands_stand_in_blocks_of_their_own():
+    blocks = "\n".join(re.findall(r"```console\n(.*?)```", README, flags=re.S))
+    for command in ("spoofgym demo", "make bench", "make test", "spoofgym audit my_detector"):
+        assert re.search(rf"^{command}", blocks, flags=re.M), command
