@@ -76,8 +76,8 @@ def build_tables() -> str:
     return "\n\n".join([
         Table.of_texts(*HEAD).markdown(rows),
         f"**False alarms** of the shipped calibrations, {rates['cells']} cells on fresh runs: "
-        f"asked {rates['rate']:g} an hour, measured {', '.join(measured)} in the means of three "
-        "worlds, passive detectors ([which, and the suite's world]"
+        f"requested {rates['rate']:g} an hour, measured {', '.join(measured)} in the means of "
+        "three worlds, passive detectors ([which, and the suite's world]"
         "(calibration_worlds.md#do-those-that-are-shipped-hold)).",
         "**Papers.** How many rows of their tables agree. The first two counts leave out rows that "
         "could hardly fail: the printed value and ours are both 0 %, or both 100 %. *All rows* are "

@@ -210,8 +210,9 @@ def _print_fits(searches: list[dict[str, Any]], as_json: bool) -> None:
 
     if as_json:
         print_json(searches)
-    for search in () if as_json else searches:
-        print_search(search)
+    else:
+        for search in searches:
+            print_search(search)
 
 
 def _report(
