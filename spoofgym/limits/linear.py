@@ -130,9 +130,9 @@ def record(
 
 
 def as_it_happens(run: LinearRun, world: GroundTruth) -> LinearRun:
-    return run._replace(
-        transition=mechanize_transition(run.transition), design=complete_design(run, world)
-    )
+    """The run with its errors as they really propagate; its `transition` is changed in place."""
+    mechanize_transition(run.transition)
+    return run._replace(design=complete_design(run, world))
 
 
 def complete_design(run: LinearRun, world: GroundTruth) -> FloatArray:
@@ -150,17 +150,17 @@ def complete_design(run: LinearRun, world: GroundTruth) -> FloatArray:
     return design
 
 
-def mechanize_transition(transition: FloatArray) -> FloatArray:
-    r"""Errors as they really propagate, by (K, s, s) a filter's :math:`I + F \tau`.
+def mechanize_transition(transition: FloatArray) -> None:
+    r"""Turn (K, s, s) a filter's :math:`I + F \tau`, in place, to errors as they really propagate.
 
     A filter propagates its covariance to first order of the interval.  Within it, mechanization
     makes of a tilt a velocity, and of that a position: the term of second order.  States after the
     first 17 have exact transitions.
     """
-    by_interval = transition - np.eye(transition.shape[-1])
-    found = transition.copy()
-    found[:, :STATES] += 0.5 * by_interval[:, :STATES] @ by_interval
-    return found
+    for first in range(0, len(transition), 16):  # more take more memory
+        part = transition[first : first + 16]
+        by_interval = part - np.eye(part.shape[-1])
+        part[:, :STATES] += 0.5 * by_interval[:, :STATES] @ by_interval
 
 
 def observer(

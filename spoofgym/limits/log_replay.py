@@ -165,7 +165,8 @@ class LogReplay(LinearReplay):
         design = log.more["design"][rows] * seen[:, :, None]
         transition = log.more["transition"][rows]
         if log.about.get("transition") == FIRST_ORDER:
-            transition = mechanize_transition(transition)
+            transition = transition.copy()
+            mechanize_transition(transition)
         if "gain" in log.more:
             gain = log.more["gain"][rows] * seen[:, None]
         else:

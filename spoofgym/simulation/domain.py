@@ -28,7 +28,7 @@ from ..receiver.tight import NoiseModel
 from ..truth.events import BenignEvents
 from ..truth.gnss_errors import ERRORS, GnssErrors
 from ..truth.run import GroundTruth
-from ..truth.satellites import CircularConstellation
+from ..truth.satellites import CircularConstellation, Constellation
 from ..truth.scenario import TURN_ON, Scenario
 from ..truth.sensors import IMU_GRADES, ImuGrade
 
@@ -356,22 +356,36 @@ def build_worlds(scenario: Scenario, domain: Domain) -> tuple[GroundTruth, int]:
     """All worlds of a domain, one after the other, and how many; setups alive share them."""
     if not domain.varies and domain.worlds is None and domain.pairs() == [(0.0, 0.0)]:
         return scenario.world(), 1
-    base, pairs = scenario.constellation, domain.pairs()
-    if not isinstance(base, CircularConstellation):
-        raise ValueError(
-            f"`domain` can move a CircularConstellation alone in time, got {type(base).__name__}"
-        )
-    skies = [(turn, replace(base, time_offset_s=base.time_offset_s + time)) for turn, time in pairs]
+    skies = _list_skies(scenario, domain)
     if not isinstance(scenario.flight, str):
-        return scenario.chained_world(skies), len(pairs)
-    key = scenario.bare, tuple(skies)
+        return scenario.chained_world(skies), len(skies)
+    key = scenario.bare, skies
     worlds = _held.pop(key, None) or _in_use.get(key) or scenario.bare.chained_world(skies)
     _in_use[key] = worlds
     if worlds.nbytes <= HELD_BYTES:
         _held[key] = worlds
         for old in list(_held)[:-2]:
             del _held[old]
-    return worlds, len(pairs)
+    return worlds, len(skies)
+
+
+def share_worlds(scenario: Scenario, domain: Domain, worlds: GroundTruth) -> None:
+    """Let setups to come have worlds that came with a setup from another process."""
+    if worlds.worlds > 1 and isinstance(scenario.flight, str):
+        _in_use.setdefault((scenario.bare, _list_skies(scenario, domain)), worlds)
+
+
+def _list_skies(scenario: Scenario, domain: Domain) -> tuple[tuple[float, Constellation], ...]:
+    """Direction [deg] and satellites of every world."""
+    base = scenario.constellation
+    if not isinstance(base, CircularConstellation):
+        raise ValueError(
+            f"`domain` can move a CircularConstellation alone in time, got {type(base).__name__}"
+        )
+    return tuple(
+        (turn, replace(base, time_offset_s=base.time_offset_s + time))
+        for turn, time in domain.pairs()
+    )
 
 
 class Combinations:

@@ -35,7 +35,7 @@ from ..truth.sensors import SensorBuffers
 from ..truth.signal_errors import MAPPINGS, OBLIQUITIES, compute_mappings, stack_obliquities
 from . import _kernels
 from ._kernels import JUDGE, REMEMBER, displace, local_motion
-from .domain import Choice, Combinations, Domain, FloatArray, build_worlds
+from .domain import Choice, Combinations, Domain, FloatArray, build_worlds, share_worlds
 from .setup import Run, Setup, Timeline
 from .simulator import Rngs, Rows, Sequel, Simulator, SkyData
 
@@ -139,6 +139,7 @@ class TightlyCoupledSetup(Setup):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
+        share_worlds(self.scenario, self.domain, self.world)
         self._hold_tables()
 
     def world_settings(self) -> dict[str, Any]:

@@ -69,7 +69,9 @@ def test_responses_add_up_and_a_tilt_becomes_a_position_within_one_epoch():
     F = np.zeros((3, 3))  # tilt, velocity, position
     F[1, 0], F[2, 1] = g, 1.0
     exact = np.eye(3) + F * tau + F @ F * tau**2 / 2.0
-    np.testing.assert_allclose(mechanize_transition((np.eye(3) + F * tau)[None])[0], exact)
+    transition = np.tile(np.eye(3) + F * tau, (40, 1, 1))
+    mechanize_transition(transition)
+    np.testing.assert_allclose(transition, np.tile(exact, (40, 1, 1)))
 
 
 BRIEF = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0}

@@ -18,6 +18,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.children import release_free_memory
 from ...core.progress import ProgressCallback
 from ...core.settings import compute_digest
 from ...detectors.calibrated import resolve_thresholds
@@ -329,14 +330,17 @@ class Campaign(Experiment):
     def run_group(
         self, cells: Sequence[Cell], results: Reader, context: Context
     ) -> Iterator[Result]:
-        optima: Optima = context.cache.setdefault("optima", self.suite.optima(context.threads))
         parts = [self.parts[cell.key] for cell in cells]
+        if parts[0].kind == FLOOR:
+            context.cache.clear()  # replays and panels take as much memory again
+            release_free_memory()
+            yield Result(record=self.suite.optima(context.threads).bounds.compute_lower_limit())
+            return
+        optima: Optima = context.cache.setdefault("optima", self.suite.optima(context.threads))
         play = _Players(self.suite, parts[0].panel, self.results(results), context)
         for (kind, spoofer), some in groupby(parts, lambda part: (part.kind, part.spoofer)):
             numbers = {play.detectors.index(each): each for _, _, each, *_ in some if each}
-            if kind == FLOOR:
-                yield Result(record=optima.bounds.compute_lower_limit())
-            elif kind == BOUND:
+            if kind == BOUND:
                 bounds = map(optima.bounds.zero_alarm, numbers.values())
                 yield from (Result(record=each.as_json()) for each in bounds)
             elif spoofer is None:
