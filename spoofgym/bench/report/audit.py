@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import textwrap
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -97,8 +96,8 @@ def _bound(bound: dict[str, Any] | None) -> str:
         return "not looked for: needs the family open-loop"
     value = bound["restricted_m"] or bound["free_m"]
     if value is None:
-        reason = re.split("[:;] ", re.sub("^no .*?: ", "", bound["why"]))[0]
-        return textwrap.shorten(f"not known ({reason})", WIDTH - LABEL, placeholder=" ...")
+        reason = bound.get("reason", bound["why"])
+        return f"not known ({textwrap.shorten(reason, WIDTH - LABEL - 12, placeholder=' ...')})"
     return value if isinstance(value, str) else f"{format_number(value)} m in the mean"
 
 
