@@ -156,7 +156,8 @@ FLOOR = {"half": {"value": 20.0}, "few": {"value": 30.0}}
         (audit_of(alarms=0.1), "false alarms 2.4 (1.1 to 4.4) an hour, above the 0.2"),
         (
             audit_of(events={"front": np.arange(RUNS) < 50}),
-            "takes benign events for attacks: alarms in front 50 % of runs with one, 0 % without",
+            "takes benign events for attacks: alarms in 50 % of the runs with a front, in 0 % of "
+            "those without",
         ),
         (
             audit_of(family("ramps", SPREAD), family("open-loop", SPREAD - 2.0)),

@@ -50,10 +50,10 @@ class Sheet(NamedTuple):
 
 @dataclass(frozen=True)
 class Page:
-    """What a report shows, in this order."""
+    """What a report shows, in this order; paragraphs of the verdict may have a head."""
 
     title: str
-    verdict: Sequence[str]
+    verdict: Sequence[str | tuple[str, str]]
     missing: Sequence[str] = ()
     pictures: Sequence[Picture] = ()
     sheets: Sequence[Sheet] = ()

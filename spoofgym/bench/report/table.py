@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from itertools import zip_longest
@@ -131,6 +132,7 @@ TEMPLATES = Path(__file__).with_name("templates")
 @cache
 def _environment(folder: Path) -> Environment:
     import jinja2
+    import markupsafe
 
     made = jinja2.Environment(
         loader=jinja2.FileSystemLoader(folder),
@@ -140,6 +142,9 @@ def _environment(folder: Path) -> Environment:
         autoescape=jinja2.select_autoescape(("html.j2",), default_for_string=False),
     )
     made.filters |= {
+        "breakable": lambda text: markupsafe.Markup(
+            re.sub(r"(?<=[,=])(?=\w)|(?=\(\w+[=,])", "<wbr>", str(markupsafe.escape(text)))
+        ),
         "g": "{:g}".format,
         "g3": "{:.3g}".format,
         "interval": interval,

@@ -218,11 +218,12 @@ class Audit:
         for name in (each for each in alarms if each not in (WINDOW, CLEAN)):
             rate = score.false_alarm_rate(name)
             if rate.low > BENIGN * max(usual.value, 1.0 / score.runs):
-                words.append(f"{name.replace('_', ' ')} {100.0 * rate.value:.0f} %")
+                event = name.replace("_", " ")
+                words.append(f"{100.0 * rate.value:.0f} % of the runs with a {event}")
         if words:
             yield (
-                f"takes benign events for attacks: alarms in {', '.join(words)} of runs with one, "
-                f"{100.0 * usual.value:.0f} % without"
+                f"takes benign events for attacks: alarms in {', '.join(words)}, in "
+                f"{100.0 * usual.value:.0f} % of those without"
             )
 
     def _warn_of_search(self) -> Iterator[str]:
