@@ -99,8 +99,9 @@ def replay_worst_attack(
     player = PlayerSpec(attack.spoofer, SPOOFER, dict(attack.spec))
     episode = play_episode(world, detector, player, int(numbers[moved.argmax()]), plan.entropy)
     shown = record_replay(episode, task.alert_limit_m)
-    others = [x.key for x in plan.families if x.key not in played]
-    shown["title"] += f", the worst but for {', '.join(others)}" if others else ""
+    every = (each for each in families if each.counted)
+    if (most := max(every, key=lambda each: each.protection.score_worst(aim))) is not worst:
+        shown["title"] += f", of those in the world of {task.key} itself, as {most.family} is not"
     return shown
 
 
@@ -135,17 +136,19 @@ def write_score_verdict(record: Row) -> list[tuple[str, str]]:
     half, few = (interval(moved[share]) for share in SHARE_KEYS)
     rate, limited = record["false_alarms_per_hour"], moved["0.05"]["high"] is None
     worst: dict[str, list[str]] = {}
-    for share, runs in zip(SHARE_KEYS, ("half", "5 %"), strict=True):
+    for share, runs in zip(SHARE_KEYS, ("half of the runs", "5 % of them"), strict=True):
         best = max(record["families"], key=lambda row: row["exceeded_m"][share]["value"] or 0.0)
-        worst.setdefault(best["family"], []).append(f"displaces most in {runs} of the runs")
-    often = f"most often passes {limit} with no alarm in time (P(HMI)), in "
-    often += f"{percent(record['p_hmi'])} % of its runs"
-    worst.setdefault(record["worst_family"], []).append(often)
+        roles = worst.setdefault(best["family"], [])
+        roles.append("displaces most " * (not roles) + f"in {runs}")
+    worst.setdefault(record["worst_family"], []).append(
+        f"passes {limit} most often with no alarm in time, in {percent(record['p_hmi'])} % of its "
+        "runs (P(HMI))"
+    )
     lines = [
         (
             f"What {name} misses",
             f"the position is off by more than {half} m in half of the runs, and by more than "
-            f"{few} m in 5 % of them, with no alarm in time.",
+            f"{few} m in 5 % of them, with no alarm within the time to alert.",
         ),
         (
             "By what attack",
@@ -157,7 +160,8 @@ def write_score_verdict(record: Row) -> list[tuple[str, str]]:
         ),
     ]
     if "ages" in record:
-        lines.append(("After how long", _write_ages(record["ages"], limit)))
+        lasting = f" Attack and time to alert last {record['window_s']:g} s together."
+        lines.append(("After how long", _write_ages(record["ages"], limit) + lasting))
     lines += [("Warning", f"{text}.") for text in record.get("warnings", [])]
     alarms = "in every window" if rate["value"] is None else f"{interval(rate)} an hour"
     requested = record.get("requested_per_hour")
