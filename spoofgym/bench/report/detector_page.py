@@ -17,13 +17,12 @@ from ..runs.episode import play_episode
 from ..runs.panel import select_runs
 from ..runs.players import PlayerSpec
 from ..runs.record import MEASURES, Aim, Protection
-from ..scores.audit import format_age
 from ..scores.campaign import score_hazard
 from ..scores.detector import FamilyScore
 from ..scores.scores import SHARES
 from . import figures
 from .page import Page, Picture, Sheet, list_played_settings, record_replay
-from .table import Table, in_percent, interval, metres, percent
+from .table import Table, in_percent, interval, percent, render_template
 from .tasks import DETECTOR_SCORES
 
 Row = dict[str, Any]
@@ -127,73 +126,21 @@ def load_families(store: Store) -> dict[str, list[FamilyScore]]:
     return scores
 
 
-def write_score_verdict(record: Row) -> list[tuple[str, str]]:
+def write_score_verdict(record: Row) -> list[tuple[str, ...]]:
     """What a detector misses, by what attack, after how long, and how sure that is: heads and
     texts, in which each family of attacks stands once, explained."""
-    name, limit, moved = record["detector"], f"{record['alert_limit_m']:g} m", record["exceeded_m"]
-    if moved["0.5"]["value"] is None:
-        return [(name, "no score, as no run is silent without an attack.")]
-    half, few = (interval(moved[share]) for share in SHARE_KEYS)
-    rate, limited = record["false_alarms_per_hour"], moved["0.05"]["high"] is None
     worst: dict[str, list[str]] = {}
     for share, runs in zip(SHARE_KEYS, ("half of the runs", "5 % of them"), strict=True):
         best = max(record["families"], key=lambda row: row["exceeded_m"][share]["value"] or 0.0)
         roles = worst.setdefault(best["family"], [])
         roles.append("displaces most " * (not roles) + f"in {runs}")
     worst.setdefault(record["worst_family"], []).append(
-        f"passes {limit} most often with no alarm in time, in {percent(record['p_hmi'])} % of its "
-        "runs (P(HMI))"
+        f"passes {record['alert_limit_m']:g} m most often with no alarm in time, in "
+        f"{percent(record['p_hmi'])} % of its runs (P(HMI))"
     )
-    lines = [
-        (
-            f"What {name} misses",
-            f"the position is off by more than {half} m in half of the runs, and by more than "
-            f"{few} m in 5 % of them, with no alarm within the time to alert.",
-        ),
-        (
-            "By what attack",
-            "; ".join(
-                f"{key} ({explain_family(key)}) ".replace(" ()", "") + " and ".join(roles)
-                for key, roles in worst.items()
-            )
-            + ".",
-        ),
-    ]
-    if "ages" in record:
-        lasting = f" Attack and time to alert last {record['window_s']:g} s together."
-        lines.append(("After how long", _write_ages(record["ages"], limit) + lasting))
-    lines += [("Warning", f"{text}.") for text in record.get("warnings", [])]
-    alarms = "in every window" if rate["value"] is None else f"{interval(rate)} an hour"
-    requested = record.get("requested_per_hour")
-    promise = "" if requested is None else f", {requested:g} requested"
-    lines.append(("False alarms", f"{alarms}{promise}."))
-    beside = []
-    if record.get("floor_m") and (floor := record["floor_m"]["half"]["value"]) is not None:
-        beside.append(f"a perfect detector would allow {metres(floor)} m")
-    if other := record.get("reference"):
-        best = f"{other['detector']}, the best non-learned one, allows"
-        beside.append(f"{best} {interval(other['exceeded_m']['0.5'])} m")
-    if beside:
-        lines.append(("In comparison", f"in half of the runs {'; '.join(beside)}."))
-    world = f" Simulated world: {record['title']}." if "title" in record else ""
-    sure = (
-        f"{record['runs']} runs of every family, whose attacks were chosen on "
-        f"{record['selection_runs']} others{', too few to bound what 5 % exceed' * limited}. In "
-        f"brackets 95 % intervals. Another attack may reach more.{world}"
-    )
-    return [*lines, ("How sure", sure)]
-
-
-def _write_ages(ages: Row, limit: str) -> str:
-    found = ", ".join(
-        f"{percent(share, 0)} % after {format_age(age)}"
-        for age, share in zip(ages["age_s"], ages["found"], strict=True)
-    )
-    return (
-        f"by the time from switch-on to the attack, it finds of plain test ramps {found}. Of those "
-        f"that pass {limit}, over all these times, {percent(ages['missed'])} % raise no alarm in "
-        "time."
-    )
+    values = {"record": record, "worst": worst, "explain": explain_family}
+    lines = render_template("verdict.txt.j2", values).splitlines()
+    return [tuple(line.split(": ", 1)) for line in lines]
 
 
 def list_score_pictures(

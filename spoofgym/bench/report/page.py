@@ -53,7 +53,7 @@ class Page:
     """What a report shows, in this order; paragraphs of the verdict may have a head."""
 
     title: str
-    verdict: Sequence[str | tuple[str, str]]
+    verdict: Sequence[str | tuple[str, ...]]
     missing: Sequence[str] = ()
     pictures: Sequence[Picture] = ()
     sheets: Sequence[Sheet] = ()

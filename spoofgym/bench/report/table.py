@@ -12,6 +12,7 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from ..scores.audit import format_age
 from ..scores.statistics import format_number as format_number
 from ..scores.statistics import interval as interval
 
@@ -145,12 +146,14 @@ def _environment(folder: Path) -> Environment:
         "breakable": lambda text: markupsafe.Markup(
             re.sub(r"(?<=[,=])(?=\w)|(?=\(\w+[=,])", "<wbr>", str(markupsafe.escape(text)))
         ),
+        "age": format_age,
         "g": "{:g}".format,
         "g3": "{:.3g}".format,
         "interval": interval,
         "json": json.dumps,
         "metres": metres,
         "number": format_number,
+        "percent": percent,
         "several": lambda values: ", ".join(sorted(set(values))),
     }
     return made
