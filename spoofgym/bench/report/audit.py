@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,10 @@ from ..scores.audit import Audit, format_age
 from ..scores.campaign import CONTROLS, extract_name
 from ..scores.scores import SHARES
 from .campaign import OVER, bound_text, shorten_label
-from .table import Table, format_number, interval, metres, percent
+from .table import Table, format_number, interval, metres, percent, render_template
 
 LINES, WIDTH = 39, 100
-LABEL, VALUE = 34, 40  # characters of the first two columns
-NO_REFERENCE = "no score of a non-learned detector is stored for this task"
-BY = {"audit": "by the task's families", "campaign": "in a campaign"}
-"""Where a reference's figures come from."""
+LABEL = 34  # characters of the first column
 Row = dict[str, Any]
 REFERENCES = ("open-loop", "accelerating-ramp")
 """Attacks that a spoofer is compared with."""
@@ -30,8 +27,7 @@ WIDTHS = (26, 8, 22, 8, 13, 13)
 def format_screen(audit: Audit) -> list[str]:
     """Lines of the screen, without the answer."""
     found = audit.as_dict()
-    lines = [line[:WIDTH] for line in (*_head(found), *_figures(found), *_families(found), "")]
-    lines += _wrap(_ages(found))
+    lines = [*_figures(found), "", *_wrap(_ages(found))]
     lines += [""] if found["warnings"] else []
     for text in found["warnings"]:
         lines += _wrap(text, "! ")
@@ -46,49 +42,15 @@ def _wrap(text: str, bullet: str = "") -> list[str]:
     return [line.replace("\xa0", " ") for line in lines]
 
 
-def _head(found: dict[str, Any]) -> Iterator[str]:
-    yield f"{found['task']}: {found['title']}"
-    drawn = "" if found["entropy"] is None else f", seed {found['entropy']}"  # None of a log
-    yield (
-        f"{found['detector']}: {found['runs']} runs of each of {len(found['families'])} families, "
-        f"chosen on {found['selection_runs']} ({found['budget']}{drawn})"
-    )
-    yield ""
-
-
-def _figures(found: dict[str, Any]) -> Iterator[str]:
-    reference, floor = found["reference"], found["floor_m"]
-    yield _row("", "this detector", "" if reference is None else "best non-learned")
-    requested, measured = found["requested_per_hour"], interval(found["false_alarms_per_hour"])
-    yield _row(
-        "false alarms an hour",
-        measured + (", as published" if requested is None else f", requested {requested:g}"),
-    )
-    worst = found["worst_in_half"], found["worst_in_few"]
-    for share, family in zip(SHARES, worst, strict=True):
-        each = found["exceeded_m"][f"{share:g}"]
-        stored = "" if reference is None else interval(reference["exceeded_m"][f"{share:g}"])
-        yield _row(
-            f"exceeded in {100 * share:g} % of runs [m]", f"{interval(each)} {family}", stored
-        )
-    limits = "not known"
-    if floor is not None:
-        ends = (format_number(floor[name]["value"] or 0.0) for name in ("half", "few"))
-        limits = "{} in 50 %, {} in 5 % of runs".format(*ends)
-    yield _row("a perfect detector allows [m]", limits)
-    yield _row("no attack without alarm exceeds", _bound(found["zero_alarm"]))
-    missed = percent(found["ages"]["missed"])
-    yield _row("missed within the time to alert", f"{missed} % of test ramps")
-    yield _row("time for an epoch of a receiver", f"{found['cost_us']:.2g} us")
-    if reference is None:
-        yield f"best non-learned: {NO_REFERENCE}"
-    else:
-        yield f"best non-learned: {reference['detector']}, {BY[reference['by']]}"
-    yield ""
-
-
-def _row(label: str, value: str, other: str = "") -> str:
-    return f"{label:<{LABEL}}{value:<{VALUE}}{other}".rstrip()
+def _figures(found: Row) -> list[str]:
+    """Figures and families, these by their P(HMI)."""
+    ranked = sorted(found["families"], key=lambda each: -(each["p_hmi"]["value"] or 0.0))
+    texts = [
+        f"  {each['family'] + '*' * each['held_out']:<20}{percent(each['p_hmi'], 0)}"
+        for each in ranked
+    ]
+    values = {**found, "ranked": texts, "bound": _bound(found["zero_alarm"])}
+    return [x.rstrip()[:WIDTH] for x in render_template("screen.txt.j2", values).splitlines()]
 
 
 def _bound(bound: dict[str, Any] | None) -> str:
@@ -99,19 +61,6 @@ def _bound(bound: dict[str, Any] | None) -> str:
         reason = bound.get("reason", bound["why"])
         return f"not known ({textwrap.shorten(reason, WIDTH - LABEL - 12, placeholder=' ...')})"
     return value if isinstance(value, str) else f"{format_number(value)} m in the mean"
-
-
-def _families(found: dict[str, Any]) -> Iterator[str]:
-    ranked = sorted(found["families"], key=lambda each: -(each["p_hmi"]["value"] or 0.0))
-    limit = found["alert_limit_m"]
-    yield f"P(HMI) at {limit:g} m by family [%], * of those held out from training"
-    texts = [
-        f"  {each['family'] + '*' * each['held_out']:<20}{percent(each['p_hmi'], 0)}"
-        for each in ranked
-    ]
-    half = (len(texts) + 1) // 2
-    for k in range(half):
-        yield f"{texts[k]:<48}{''.join(texts[k + half : k + half + 1])}".rstrip()
 
 
 def _ages(found: dict[str, Any]) -> str:
