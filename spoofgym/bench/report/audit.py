@@ -110,9 +110,8 @@ def write_spoofer_audit(summary: Row, spoofer: str, task: str, budget: str) -> R
     answer = f"{spoofer}: no score, as no run is silent without an attack"
     if known:
         best = min(known, key=lambda row: row["exceeded_m"][HALF]["value"])
-        beside = [f"{x} {_exceeded(found, HALF)} m" for x, found in best["others"].items()]
-        if floor:
-            beside.append(f"a perfect detector allows {metres(floor['half']['value'])} m")
+        beside = [f"{x} {metres(found[HALF]['value'])} m" for x, found in best["others"].items()]
+        beside += [f"a perfect detector allows {metres(floor['half']['value'])} m"] if floor else []
         answer = (
             f"{spoofer}: {interval(best['exceeded_m'][HALF])} m in half of the runs of the "
             f"tightest of {len(counted)} detectors, {shorten_label(best['detector'])}, at "
@@ -124,12 +123,8 @@ def write_spoofer_audit(summary: Row, spoofer: str, task: str, budget: str) -> R
     return {**names, **plain, "floor_m": floor, "detectors": rows, "answer": answer}
 
 
-def _exceeded(found: Row, part: str) -> str:
-    return "-" if (x := found[part]["value"]) is None else format_number(x)
-
-
 def _both_exceeded(name: str, row: Row) -> str:
-    return ", ".join(_exceeded(row["others"][name], part) for part in (HALF, FEW))
+    return ", ".join(metres(row["others"][name][part]["value"]) for part in (HALF, FEW))
 
 
 def format_reach(audit: Row) -> list[str]:
@@ -142,14 +137,12 @@ def format_reach(audit: Row) -> list[str]:
             "in 50 % of runs [m]",
             lambda row: interval(row["exceeded_m"][HALF]) + ("" if row["within_budget"] else OVER),
         ),
-        ("in 5 % [m]", lambda row: _exceeded(row["exceeded_m"], FEW)),
+        ("in 5 % [m]", lambda row: metres(row["exceeded_m"][FEW]["value"])),
         *((f"{name} 50, 5 %", partial(_both_exceeded, name)) for name in rows[0]["others"]),
     )
     widths = WIDTHS[: 4 + len(rows[0]["others"])]
-    limits = "not known"
-    if floor:
-        ends = (metres(floor[name]["value"]) for name in ("half", "few"))
-        limits = "{} m in 50 %, {} m in 5 % of runs".format(*ends)
+    ends = [metres(floor[name]["value"]) for name in ("half", "few")] if floor else []
+    limits = "{} m in 50 %, {} m in 5 % of runs".format(*ends) if ends else "not known"
     bounds = [(row["detector"], bound_text(row["zero_alarm"], "")) for row in rows]
     known = [f"{text} m against {shorten_label(name)}" for name, text in bounds if text]
     return [

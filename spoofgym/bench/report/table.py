@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from ..scores.audit import format_age
 from ..scores.statistics import format_number as format_number
+from ..scores.statistics import in_percent as in_percent
 from ..scores.statistics import interval as interval
+from ..scores.statistics import percent as percent
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -100,17 +102,6 @@ class Table:
 
 
 FIELDS = Table.of_texts("", "")  # names and values
-
-
-def in_percent(estimate: Mapping[str, float | None]) -> dict[str, float | None]:
-    """Proportion and the ends of its interval, in per cent."""
-    found = {key: estimate[key] for key in ("value", "low", "high")}
-    return {key: None if x is None else 100.0 * x for key, x in found.items()}
-
-
-def percent(estimate: Mapping[str, float | None], digits: int = 1) -> str:
-    """Proportion with its interval, in per cent."""
-    return interval(in_percent(estimate), digits)
 
 
 def share(digits: int) -> Callable[[float], str]:

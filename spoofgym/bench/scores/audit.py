@@ -25,6 +25,7 @@ from .statistics import (
     draw_resamples,
     format_number,
     interval,
+    percent,
     percentiles,
 )
 
@@ -114,8 +115,8 @@ class AgeProbe(NamedTuple):
         if not worse:
             return
         first = next((each for each in worse if shares[each[0]] <= BLIND * shares[best]), None)
-        k, (value, low, high) = first or worse[-1]
-        points = Estimate(*(-100.0 * x for x in (value, high, low)))
+        k, less = first or worse[-1]
+        more = Estimate(-less.value, -less.high, -less.low)
         words = "finds less the longer it has been switched on"
         if first is not None:
             ages = (format_age(self.age_s[j]) for j in (k - 1, k))
@@ -125,7 +126,7 @@ class AgeProbe(NamedTuple):
         yield (
             f"{words}: it finds {100.0 * shares[best]:.0f} % of the test ramps when they begin "
             f"{format_age(self.age_s[best])} after switch-on, {100.0 * shares[k]:.0f} % after "
-            f"{format_age(self.age_s[k])}: {interval(points.as_json(), 0)} percentage points less "
+            f"{format_age(self.age_s[k])}: {percent(more.as_json(), 0)} percentage points less "
             "in the same runs"
         )
 

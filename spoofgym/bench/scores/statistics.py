@@ -77,6 +77,17 @@ def interval(estimate: Mapping[str, float | None], digits: int | None = None) ->
     return f"{value:.{digits}f} ({where})"
 
 
+def in_percent(estimate: Mapping[str, float | None]) -> dict[str, float | None]:
+    """Proportion and the ends of its interval, in per cent."""
+    found = {key: estimate[key] for key in ("value", "low", "high")}
+    return {key: None if x is None else 100.0 * x for key, x in found.items()}
+
+
+def percent(estimate: Mapping[str, float | None], digits: int = 1) -> str:
+    """Proportion with its interval, in per cent."""
+    return interval(in_percent(estimate), digits)
+
+
 def _digits(size: float) -> int:
     return 0 if size >= 100.0 else 1 if size >= 1.0 else 2
 
