@@ -62,8 +62,9 @@ def build_tables(kept: dict[str, Any]) -> str:
         shown = f"`spoofgym {command.partition(' --out {out}')[0]}`"
         rows.append((name, shown, minutes, str(memory_mb)))
     measured = Table.of_texts("row", "command", "CPU [min]", "largest process [MB]").markdown(rows)
-    stored = Table.of_texts("stored results of", "on the clock [min]").markdown(read_stored())
-    return f"Measured on: {kept['machine']}.\n\n{measured}\n\nOf stored results:\n\n{stored}\n"
+    stored = Table.of_texts("computed by", "on the clock [min]").markdown(read_stored())
+    head = "On the clock, when the stored results were computed, on the machine of that day:"
+    return f"Measured on: {kept['machine']}.\n\n{measured}\n\n{head}\n\n{stored}\n"
 
 
 def main(arguments: list[str]) -> None:

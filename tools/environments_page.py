@@ -16,6 +16,7 @@ import gymnasium as gym
 
 from spoofgym.attacks.offsets import BASES
 from spoofgym.bench.report.table import Table
+from spoofgym.bench.runs.players import specify_detector
 from spoofgym.core.declared import list_declarations
 from spoofgym.core.files import write_file
 from spoofgym.duel_v0 import DetectorView
@@ -101,6 +102,22 @@ def list_elements(name: str) -> list[list[str]]:
     return rows
 
 
+def count_reported(name: str) -> dict[str, int]:
+    """Elements of the observation at the levels with reports that no table has."""
+    found = {}
+    for knowledge in ("blind+reported", "tracking+reported"):
+        env: Any = gym.make(f"spoofgym/{name}-v0", knowledge=knowledge, detector="never")
+        found[knowledge] = len(env.unwrapped.observation_names)
+    return found
+
+
+def name_detector(name: str) -> str:
+    """Default detector of an id, with its settings but for the rate of false alarms."""
+    env: Any = gym.make(f"spoofgym/{name}-v0").unwrapped
+    label = specify_detector(env.core.setup.detector).label
+    return re.sub(r"\(false_alarms_per_hour=0\.2\)|,? ?false_alarms_per_hour=0\.2", "", label)
+
+
 def list_bases() -> dict[str, tuple[int, int]]:
     """Elements of action and blind observation in the papers' world, by the basis of offsets."""
     world: dict[str, Any] = {
@@ -131,6 +148,8 @@ def build_spoofer_page(name: str) -> str:
         "setup": env.core.setup,
         "tables": tables,
         "sizes": sizes,
+        "reported": count_reported(name),
+        "detector": name_detector(name),
     }
     values["bases"] = list_bases() if name == "Offsets" else {}
     values |= {"price": ALARM_PRICE, "settings": gym.spec(f"spoofgym/{name}-v0").kwargs}

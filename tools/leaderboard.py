@@ -18,7 +18,7 @@ SPOOFERS = Table(
     ("spoofer", "spoofer"),
     ("knows", "knows"),
     ("stealthy displacement [m]", "score", interval),
-    ("a perfect detector allows [m]", "floor_m", format_number),
+    ("a perfect detector allows at 5 % [m]", "floor_m", format_number),
     ("by", "by"),
 )
 DETECTORS = Table(
@@ -29,7 +29,7 @@ DETECTORS = Table(
         lambda row: f"{interval(row['0.5'])}, {attack_of_suite(row['0.5'])}",
     ),
     ("in 5 % [m]", lambda row: row["0.05"], interval),
-    ("a perfect detector allows [m]", "floor_m", format_number),
+    ("a perfect detector allows in 50 % [m]", "floor_m", format_number),
     ("by", "by"),
 )
 HAZARDS = Table(

@@ -29,9 +29,10 @@ FIGURES = "figures"
 VERSIONS = ("python", "numpy", "scipy", "numba")
 LEGEND = """\
 Every band says where it comes from, by its letter. A *tolerance* is a margin around the printed
-value, or the spread of our own runs; an *independent* band is what a second program found, which
-was written separately from the same paper and is not part of this repository; a *bound* is a limit
-from theory or of our own.
+value, or the spread of our own runs; an *independent* band is around what a second program found,
+which was written separately from the same paper and is not part of this repository: often one
+standard deviation of single runs, ours or its own, to either side of its median, a coarse check; a
+*bound* is a limit from theory or of our own.
 
 - *printed inside*: the printed value and ours both lie in the band. Where the band excludes the
   printed value it is NO, wherever ours lies.

@@ -128,8 +128,8 @@ class SpoofEnv(CoreEnv[SpoofCore]):
         filter-only warm-up.
     length_m : float, optional
         Length of the task, in which the price of an alarm is counted: the displacement that
-        matters, such as an alert limit; by default the scale of the observed displacement, 30 m in
-        the default world and 40 m in that of the papers.
+        matters, such as an alert limit; by default the scale of the observed displacement, 40 m of
+        a tightly coupled victim.  ``TightlyCoupled-v0`` and ``Offsets-v0`` set 30 m.
     alarm_price : float
         Price of an alarm, in such lengths.
     end_at_alarm : bool

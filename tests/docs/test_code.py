@@ -63,13 +63,12 @@ def test_the_code_of_a_page_runs(page, needed, played):
 def test_the_code_on_own_data_and_on_learning_prints_what_the_pages_say(played):
     _, printed = played("own_data.md")
     assert f"It prints `{printed[0]}`" in text_of("own_data.md")
-    _, printed = played("learning.md", "stable_baselines3")
+    _, printed = played("learning.md")
     assert printed[0] == "3600 epochs, 360 decisions"
     assert float(printed[1].split()[0]) >= 60.0
     assert printed[1].endswith("1.0")
     assert printed[2] == "[0. 0. 0. 0.]"
-    assert float(printed[3]) > 10.0  # full pushes alarm more often than the budget allows
-    assert printed[4] == "[85. 85. 85.]"
+    assert printed[3] == "[85. 85. 85.]"
 
 
 @pytest.mark.nightly  # all worlds of tasks, which are golden
