@@ -35,6 +35,16 @@ def test_no_interval_is_printed_without_a_width(ends, digits, text):
     assert interval(dict(zip(("value", "low", "high"), ends, strict=True)), digits) == text
 
 
+def test_long_names_on_a_page_break_at_their_settings(tmp_path):
+    (tmp_path / "name.html.j2").write_text("{{ name | breakable }}")
+    for name, broken in (
+        ("bank(filter=own,spacing=2)", "bank<wbr>(filter=<wbr>own,<wbr>spacing=<wbr>2)"),
+        ("dash(tuned,last_s=60)", "dash<wbr>(tuned,<wbr>last_s=<wbr>60)"),
+        ("<b>, 1.0 (0.9 to 1.1)", "&lt;b&gt;, 1.0 (0.9 to 1.1)"),
+    ):
+        assert render_template("name.html.j2", {"name": name}, tmp_path) == broken + "\n"
+
+
 def test_a_column_takes_a_key_or_a_function_and_a_form(capsys):
     assert TABLE.titles == ("detector", "per run [%]", "alarms")
     assert TABLE.texts(ROWS) == [("one | two\nlines", "1.2", "3"), ("never", "-", "none")]

@@ -249,7 +249,7 @@ def draw_lines(
         if limit_m is not None:
             _draw_limit(ax, limit_m)
         if "%" in y:
-            ax.set_ylim(-2.0, 102.0)
+            ax.set_ylim(-2.0, 110.0)  # with room for the name of a limit
         ax.set_xlabel(x)
         ax.set_ylabel(y)
 

@@ -240,7 +240,7 @@ class Audit:
                 if less.low > BEHIND * every.score_worst(Aim(MEASURES[0], SHARES[0])):
                     yield (
                         f"the search failed: {name} exceed {less} m more in half of the runs "
-                        f"than what was searched for against it: distrust {SEARCHED}"
+                        f"than {SEARCHED}, which was searched for against it: distrust {SEARCHED}"
                     )
         floor = self.floor_m and self.floor_m["half"]["value"]
         found = self.figures["exceeded_m"][f"{SHARES[0]:g}"]
