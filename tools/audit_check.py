@@ -76,17 +76,17 @@ def list_figures(found: DetectorScore) -> Row:
 
 
 def compare(quick: DetectorScore, standard: DetectorScore) -> Iterator[Row]:
-    """A row for each figure."""
+    """A row for each figure; it is held where it lies in the interval as both are printed."""
     others = list_figures(standard)
     for name, one in list_figures(quick).items():
-        value = others[name].value
+        low, high, value = (float(f"{x:.3g}") for x in (one.low, one.high, others[name].value))
         yield {
             "detector": quick.detector,
             "seed": quick.entropy,
             "figure": name,
             **{f"quick_{x}": getattr(one, x) for x in ("value", "low", "high")},
             **{f"standard_{x}": getattr(others[name], x) for x in ("value", "low", "high")},
-            "contains": bool(one.low <= value and not value > one.high),
+            "contains": low <= value and not value > high,
         }
 
 

@@ -24,7 +24,7 @@ from ..detectors.base import judge_epoch
 from ..simulation.engine import processors
 from ..simulation.monitors import Monitor, Monitored, PassiveDetectors
 from ..simulation.setup import Setup, make_generators, seeds_of_runs
-from ..simulation.simulator import Simulator, run_serially, weighs
+from ..simulation.simulator import Simulator, draw_ages, run_serially, weighs
 
 FloatArray = NDArray[np.float64]
 Numbers = Sequence[int] | NDArray[np.int64]
@@ -129,24 +129,42 @@ class Player:
         now: str = "clean runs",
     ) -> CleanRuns:
         """Runs of a split by their numbers; `in_loop` takes one detector, which weighs."""
-        parts = []
-        for part in self.play_chunks(detectors, self._chunks(numbers), split, in_loop):
-            parts.append(part)
-            self.progress.advance(float(len(part.judged)), now)
-        return join_runs(parts)
+        tick = lambda runs: self.progress.advance(float(runs), now)  # noqa: E731
+        return join_runs(self.play_chunks(detectors, [numbers], split, in_loop, tick))
 
     def forget(self) -> None:
         """Leave nothing of what has been played, for one that keeps it."""
 
     def play_chunks(
-        self, detectors: Sequence[Detector], chunks: Iterable[Numbers], split: str, in_loop: bool
+        self,
+        detectors: Sequence[Detector],
+        chunks: Sequence[Numbers],
+        split: str,
+        in_loop: bool,
+        tick: Callable[[int], None],
     ) -> Iterator[CleanRuns]:
-        """Play chunks of runs side by side, in their order."""
+        """Play chunks of runs, those of like ages side by side, so that few wait for the oldest.
+        `tick` is given how many have been played."""
         monitor = RunMaxima(() if in_loop else detectors)
         judge = detectors[0] if in_loop else Never()
         setup = self.setup.copy_with(detector=judge, monitors=[monitor])
         work = lambda chunk, stop: _play(setup, self.generators(split, chunk), stop)  # noqa: E731
-        return map_ordered(work, chunks, self.threads)
+        numbers = np.concatenate([np.asarray(chunk) for chunk in chunks])
+        order = np.argsort(-draw_ages(setup, self.generators(split, numbers)), kind="stable")
+        ends, left, whole = np.cumsum([len(chunk) for chunk in chunks]), list(chunks), None
+        missing = np.ones(len(numbers), dtype=np.bool_)
+        pieces = self._chunks(order)
+        played = map_ordered(work, [numbers[rows] for rows in pieces], self.threads)
+        for rows, part in zip(pieces, played, strict=True):
+            if whole is None:
+                whole = [np.empty((len(numbers), *x.shape[1:]), x.dtype) for x in part]
+            for array, own in zip(whole, part, strict=True):
+                array[rows] = own
+            missing[rows] = False
+            tick(len(rows))
+            while left and not missing[: (end := ends[-len(left)])].any():
+                first = end - len(left.pop(0))
+                yield CleanRuns._make(array[first:end] for array in whole)
 
     def simulators(self, monitor: Monitor, numbers: range) -> Iterator[Simulator]:
         """Let a monitor look at the judged windows of runs without a defence."""

@@ -175,9 +175,9 @@ def check_entry(folder: Path, options: AuditOptions, as_json: bool) -> None:
     options = replace(options, task=[entry.task], out=out, budget=budget)
     with contextlib.chdir(folder):
         audited = (
-            audit_detectors([entry.player], options)
+            audit_detectors([entry.player], options, entry.figures)
             if entry.side == "detector"
-            else audit_spoofer(entry.player, options)
+            else audit_spoofer(entry.player, options, entry.figures)
         )
         (record,), _, written = audited
     figures = list(compare_figures(entry.figures, record))
@@ -199,9 +199,12 @@ def check_entry(folder: Path, options: AuditOptions, as_json: bool) -> None:
     raise typer.Exit(bool(false))
 
 
-def audit_detectors(texts: list[str], options: AuditOptions) -> Audited:
-    """Audit detectors by task."""
+def audit_detectors(
+    texts: list[str], options: AuditOptions, claimed: dict[str, Any] | None = None
+) -> Audited:
+    """Audit detectors by task; `claimed`: figures, whose names are checked first."""
     from ..bench.experiments.audit import Auditor
+    from ..bench.experiments.entry import compare_figures, list_detector_figures
     from ..bench.experiments.log_audit import LogAuditor
     from ..bench.report.audit import format_screen
     from ..bench.report.detector_page import build_scores_page, replay_worst_attack
@@ -222,6 +225,9 @@ def audit_detectors(texts: list[str], options: AuditOptions) -> Audited:
             require(value is None, f"{given} does not go with --log, whose windows are the runs")
         settings |= options.of_log
         auditors = [LogAuditor(options.log, options.size, **settings)]
+    if claimed:
+        keys = auditors[0].list_families(specs[0]["name"])
+        list(compare_figures(claimed, list_detector_figures(keys)))
     for auditor in auditors:
         own, stores = [], []
         for spec in specs:
@@ -242,11 +248,14 @@ def audit_detectors(texts: list[str], options: AuditOptions) -> Audited:
     return [each.as_dict() for each in found], [*map(format_screen, found)], written
 
 
-def audit_spoofer(text: str, options: AuditOptions) -> Audited:
-    """Audit a spoofer by task: a campaign beside the usual attacks."""
+def audit_spoofer(
+    text: str, options: AuditOptions, claimed: dict[str, Any] | None = None
+) -> Audited:
+    """Audit a spoofer by task: a campaign beside the usual attacks; `claimed` as of a detector."""
     from ..bench.experiments.audit_cells import choose_entropy
     from ..bench.experiments.audit_worlds import Worlds
     from ..bench.experiments.campaign import Campaign, summarize
+    from ..bench.experiments.entry import compare_figures, list_spoofer_figures
     from ..bench.experiments.suite import (
         Suite,
         get_budget,
@@ -299,6 +308,10 @@ def audit_spoofer(text: str, options: AuditOptions) -> Audited:
             return worlds.expect_calibration(entry.spec, detector_in_world(entry.spec), 1)[0]
 
         suite, text = leave_uncalibrated(suite, None if options.size == "quick" else expect)
+        if claimed:
+            labels = (each.label for each in suite.detector_players)
+            names = (name for name in REFERENCES if name != player.spec["name"])
+            list(compare_figures(claimed, list_spoofer_figures(labels, names)))
         if text:
             typer.echo(f"{task.key}: {text}", err=True)
         campaign = Campaign(calibrate_suite(suite, None, options.threads))

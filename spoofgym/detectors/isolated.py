@@ -17,6 +17,7 @@ import threading
 import time
 import weakref
 from collections.abc import Mapping
+from contextlib import suppress
 from mmap import mmap
 from typing import Any, ClassVar
 
@@ -47,6 +48,8 @@ ISOLATED = "spoofgym.detectors.isolated:Isolated"
 WORDS = ("paper", "scope", "measures", "label")
 LONGEST_WORDS = 2000
 """Characters of what a process says of a failure."""
+MOST_PRINTED = 1 << 14
+"""Bytes of what a process and its forks print that are shown."""
 PROCESSES = 256
 """That a detector may have at a time, beside one for each batch."""
 FLAGS = (
@@ -96,13 +99,17 @@ class _Host:
             [sys.executable, "-m", PROGRAM, str(other.fileno())],
             env=child_environment(),
             stdin=subprocess.DEVNULL,
-            stdout=2,  # what it prints is no result of a command
+            bufsize=0,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
             pass_fds=[other.fileno()],
             start_new_session=True,
         )
         other.close()
         self.channel = Channel(own)
-        self.end = weakref.finalize(self, _end_host, self.process, own, os.getpid())
+        printed = threading.Thread(target=_show, args=(self.process.stdout, name), daemon=True)
+        printed.start()
+        self.end = weakref.finalize(self, _end_host, self.process, own, os.getpid(), printed)
         self.batches: weakref.WeakSet[Channel] = weakref.WeakSet()
         self._seen = 0.0
         try:
@@ -139,11 +146,25 @@ class _Host:
         self._seen = time.monotonic()
 
 
-def _end_host(process: subprocess.Popen[bytes], channel: socket.socket, parent: int) -> None:
+def _show(pipe: Any, name: str) -> None:
+    """Show what a process prints, which is no result of a command; the rest is read, and lost."""
+    left, cut = MOST_PRINTED, f"\n{name} has printed {MOST_PRINTED} bytes: no more is shown\n"
+    with pipe:
+        while part := pipe.read(1 << 16):
+            if left >= 0:
+                with suppress(OSError):  # our standard error may be closed
+                    os.write(2, part[:left] + cut.encode() * (left < len(part)))
+                left -= len(part)
+
+
+def _end_host(
+    process: subprocess.Popen[bytes], channel: socket.socket, parent: int, printed: threading.Thread
+) -> None:
     channel.close()
     if os.getpid() == parent:  # and not in a fork of it
         end_family(process.pid)
         process.wait()
+        printed.join(1.0)
 
 
 def _ask(

@@ -41,7 +41,7 @@ from .linear import (
     unit_commands,
     unused_seed,
 )
-from .no_alarm import Judged, Timing, judged_by
+from .no_alarm import Judged, NoBoundError, Timing, judged_by
 from .zero_alarm import Bound, Kind, Sensitivity, checked_direction, sensitivity
 
 WorkCallback = Callable[[float], None]
@@ -212,7 +212,8 @@ class ZeroAlarm(NamedTuple):
     - `kind`: of the restricted one, or of the free one where there is no other: ``"exact"``,
       ``"upper"`` or ``"unbounded"``;
     - `why`: why nothing is known, and what holds instead, or why it is an upper bound; or "";
-    - `rates_mps`: (W, Q) rates of the restricted attacks at equally spaced times.
+    - `rates_mps`: (W, Q) rates of the restricted attacks at equally spaced times;
+    - `reason`: why nothing is known, without what holds instead; or "" for all of `why`.
     """
 
     free_m: float | None
@@ -220,12 +221,13 @@ class ZeroAlarm(NamedTuple):
     kind: str
     why: str
     rates_mps: list[FloatArray]
+    reason: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """JSON-able; infinities as the word "unbounded"."""
         sizes = {"free_m": self.free_m, "restricted_m": self.restricted_m}
         words = {key: "unbounded" if value == math.inf else value for key, value in sizes.items()}
-        return {**words, "kind": self.kind, "why": self.why}
+        return {**words, "kind": self.kind, "why": self.why, "reason": self.reason or self.why}
 
 
 def draw_worlds(
@@ -274,7 +276,7 @@ def zero_alarm_bounds(
     try:
         timing = Timing.of(setup)
     except ValueError as error:
-        return ZeroAlarm(None, None, "", str(error), [])
+        return ZeroAlarm(None, None, "", str(error), [], "ages are drawn")
     direction = math.cos(heading), math.sin(heading)
     runs = [case[:2] for case in cases]
     return bound_displacement(detector, runs, timing, setup.steps - 1, direction, tick)
@@ -305,6 +307,8 @@ def bound_displacement(
             if attacker is not None:
                 found["restricted"].append(bound(run, attacker))
             advance(1.0 / len(cases))
+    except NoBoundError as none:
+        return ZeroAlarm(None, None, "", f"{none.reason}; {none.instead}", [], none.reason)
     except (ValueError, ImportError) as error:
         return ZeroAlarm(None, None, "", str(error), [])
     (free_m, free_kind), (restricted_m, kind) = map(_mean, found.values())

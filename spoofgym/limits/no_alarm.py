@@ -55,6 +55,14 @@ REFUSED: dict[type[Detector], tuple[str, str]] = {
 """Why a detector has no zero-alarm bound, and what holds in its place."""
 
 
+class NoBoundError(ValueError):
+    """A detector has no zero-alarm bound, for a `reason`; what holds `instead`."""
+
+    def __init__(self, name: str, reason: str, instead: str) -> None:
+        super().__init__(f"no zero-alarm bound for {name}: {reason}; {instead}")
+        self.reason, self.instead = reason, instead
+
+
 class Timing(NamedTuple):
     """When a detector was switched on. `interval_s`: time between epochs [s]; `live`: epochs
     without attack, with the satellites in view of the first epoch of the run, for which it has been
@@ -285,7 +293,7 @@ def check_convex(detector: Detector) -> None:
         why, instead = "an estimated covariance lets the attack set its own limits", OPEN_LOOP_NOTE
     else:
         return
-    raise ValueError(f"no zero-alarm bound for {name}: {why}; {instead}")
+    raise NoBoundError(name, why, instead)
 
 
 def _never(case: DetectorRun) -> Judged:

@@ -25,6 +25,7 @@ from .simulator import (
     Sequel,
     Simulator,
     domain_keys,
+    draw_ages,
     episode_seeds,
     run_serially,
 )
@@ -229,8 +230,7 @@ class Engine:
     @cached_property
     def _pool_ages(self) -> NDArray[np.int64]:
         """(M,) of all pasts at their onset [epochs]."""
-        keys = domain_keys(episode_seeds(seed_pasts(np.arange(len(self._flown)))))
-        return draw(self.setup.bounds, keys).age
+        return draw_ages(self.setup, seed_pasts(np.arange(len(self._flown))))
 
     def predict(self, command: FloatArray | None) -> Epoch:
         return self.simulator.predict(command)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..core.declared import check_number
 from ..core.memory import Memory
 from ..core.registry import require
-from ..detectors import Detector, DetectorContext, PooledDetector, Verdict
+from ..detectors import Detector, DetectorContext, Never, PooledDetector, Verdict
 from ..detectors.base import (
     HAVE_IT,
     YoungMemoryWarning,
@@ -606,6 +606,14 @@ def domain_keys(episodes: Sequence[np.random.SeedSequence]) -> NDArray[np.uint64
         for seed in episodes
     ]
     return np.array([stream.generate_state(2, np.uint64) for stream in streams])
+
+
+def draw_ages(setup: Setup, rngs: Rngs) -> NDArray[np.int64]:
+    """(B,) age at the onset of the episodes that generators, which go on, come to next [epochs]."""
+    bare_setup = setup.copy_with(detector=Never(), monitors=())
+    simulator: Simulator = bare_setup.simulator(len(rngs), run_serially)
+    simulator._choose(simulator._draw(rngs), None)
+    return simulator.ages
 
 
 def run_serially(work: Callable[[int, int], None], receivers: int) -> None:

@@ -19,8 +19,10 @@ from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
 from spoofgym.bench.scores.audit import AgeProbe, Audit
 from spoofgym.bench.scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
 from spoofgym.bench.scores.scores import SHARES
-from spoofgym.detectors import Calibrated, Never, SnapshotChi2, Verdict
-from spoofgym.limits.bounds import zero_alarm_bounds
+from spoofgym.bench.scores.statistics import bootstrap_mean, draw_resamples
+from spoofgym.detectors import Calibrated, Never, Raim, Verdict
+from spoofgym.limits.bounds import draw_worlds, zero_alarm_bounds
+from spoofgym.limits.no_alarm import EXCLUDES, OPEN_LOOP_NOTE
 from spoofgym.simulation import TightlyCoupledSetup
 from spoofgym.tasks import EVENTS
 
@@ -154,15 +156,16 @@ FLOOR = {"half": {"value": 20.0}, "few": {"value": 30.0}}
         (audit_of(alarms=0.1), "false alarms 2.4 (1.1 to 4.4) an hour, above the 0.2"),
         (
             audit_of(events={"front": np.arange(RUNS) < 50}),
-            "takes benign events for attacks: alarms in front 50 % of runs with one, 0 % without",
+            "takes benign events for attacks: alarms in 50 % of the runs with a front, in 0 % of "
+            "those without",
         ),
         (
             audit_of(family("ramps", SPREAD), family("open-loop", SPREAD - 2.0)),
-            "the search failed: ramps exceed 2.0 m",
+            "the search failed: ramps exceed 2.0 (within 0.05) m",
         ),
         (
             audit_of(family("open-loop", SPREAD, SPREAD + 2.0)),
-            "the search failed: attacks that were found against other detectors exceed 2.0 m",
+            "the search failed: attacks that were found against other detectors exceed 2.0 (within",
         ),
         (audit_of(floor_m=FLOOR), "no attack gets beyond the 20.0 m that even a perfect detector"),
     ],
@@ -177,10 +180,16 @@ def test_every_warning_stands_where_it_is_earned(audit, message):
 
 
 def test_a_bound_that_is_not_known_has_its_reason_in_a_few_words():
-    domain, why = {"age_s": (30.0, 120.0)}, "no zero-alarm bound for Ewma: its weights change; more"
-    setup = TightlyCoupledSetup(timeline={"warmup_s": 30.0, "live_s": 10.0}, domain=domain)
-    aged = zero_alarm_bounds(setup, SnapshotChi2(), []).as_json()
-    for bound, reason in ((aged, "ages are drawn"), ({**aged, "why": why}, "its weights change")):
+    timeline, domain = {"warmup_s": 30.0, "live_s": 10.0}, {"age_s": (30.0, 120.0)}
+    aged = zero_alarm_bounds(TightlyCoupledSetup(timeline=timeline, domain=domain), Raim(), [])
+    setup = TightlyCoupledSetup(timeline=timeline)
+    refused = zero_alarm_bounds(setup, Raim(), draw_worlds(setup, 1))
+    assert refused.why == f"{EXCLUDES}; {OPEN_LOOP_NOTE}"
+    known = (
+        (aged, "ages are drawn"),
+        (refused, "it excludes satellites or fixes, and tests other ..."),
+    )
+    for bound, reason in ((each.as_json(), text) for each, text in known):
         ramps = family("ramps", 10.0)
         known = ramps._replace(protection=replace(ramps.protection, head={"zero_alarm": bound}))
         assert f"alarm exceeds   not known ({reason})" in " ".join(format_screen(audit_of(known)))
@@ -191,7 +200,41 @@ def test_runs_that_are_all_the_same_leave_an_interval():
     q = 1.0 - 0.025 ** (1.0 / 16.0)  # exact, for none of 16 skies
     assert probe.estimate_missed() == pytest.approx((0.6, 0.6 - 0.6 * q, 0.6 + 0.4 * q))
     assert probe.compare_ages(1, 0) == pytest.approx((0.0, -q, q))
+    falls = replace_found(probe, np.array([0.8, 1.0])[np.arange(16) % 2], np.zeros(16))
+    least, most = falls.estimate_share(0)[1:]
+    assert falls.compare_ages(1, 0) == pytest.approx((-0.9, -most, q - least))
+    (text,) = falls.warn()
+    assert "0 % after 3 min: 90 (64 to 95) percentage points less in the same runs" in text
     assert audit_of(found=0.0).probe.estimate_share(0) == pytest.approx((0.0, 0.0, q))
+
+
+def replace_found(probe, *shares):
+    """A probe of as many ages, at which each of its runs finds a share of the five ramps."""
+    found = np.arange(5)[:, None, None] < np.round(5.0 * np.array(shares)) - 1e-9
+    few = slice(len(shares))
+    return probe._replace(
+        found=found,
+        counts=probe.counts[few],
+        threshold=probe.threshold[few],
+        age_s=probe.age_s[few],
+    )
+
+
+@pytest.mark.parametrize("rate", [0.02, 0.05, 0.1])
+def test_where_no_run_finds_any_the_difference_is_covered_as_the_bounds_of_both_ages_are(rate):
+    rng, probe, truth = np.random.default_rng(0), audit_of().probe, rate - 0.9
+    covered, bootstrapped = [], []
+    for _ in range(400):
+        seen, blind = rng.choice([0.8, 1.0], 16), (rng.random(16) < rate).astype(float)
+        if not blind.any():
+            found = replace_found(probe, seen, blind).compare_ages(1, 0)
+            covered.append(found.low <= truth <= found.high)
+            alone = bootstrap_mean(blind - seen, draw_resamples(np.arange(16)))
+            assert found.low <= alone.low + 1e-9 < alone.high - 1e-9 <= found.high
+            bootstrapped.append(alone.low <= truth <= alone.high)
+    assert len(covered) > 50
+    assert np.mean(covered) > 0.95
+    assert np.mean(bootstrapped) < 0.92
 
 
 def test_what_is_as_it_should_be_is_not_warned_of():

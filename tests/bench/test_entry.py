@@ -7,7 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from spoofgym.bench.experiments.entry import compare_figures
+from spoofgym.bench.experiments.audit import Auditor
+from spoofgym.bench.experiments.entry import (
+    INTERVAL,
+    compare_figures,
+    list_detector_figures,
+)
 from spoofgym.tasks import DETECTOR_TASKS
 
 from ..command_line import call, read, refused
@@ -40,6 +45,10 @@ def small(monkeypatch):
     monkeypatch.setitem(DETECTOR_TASKS, "D1", small_task())
 
 
+def claim_all(known):
+    return 0.5 if known is INTERVAL else {key: claim_all(each) for key, each in known.items()}
+
+
 def check(folder, *more):
     return ["audit", "--check", str(folder), "--out", str(folder.parent / "out"), *SMALL, *more]
 
@@ -62,6 +71,8 @@ def test_a_good_entry_holds_and_a_false_figure_is_named(player, tmp_path):
     assert rows["p_hmi"]["value"] == found["audit"]["p_hmi"]["value"]
     assert all(row["low"] <= row["claimed"] <= row["high"] for row in rows.values())
     assert found["audit"]["budget"] == "quick"
+    known = list_detector_figures(["ramps"])
+    assert len([*compare_figures(claim_all(known), found["audit"])]) == 13
     proud = write_entry(good, player=player, figures={**claims, "p_hmi": 0.1})
     result = call(*check(proud, "--seed", "0"))  # the same detector on the same runs
     assert result.exit_code == 1
@@ -84,6 +95,25 @@ def test_a_good_entry_holds_and_a_false_figure_is_named(player, tmp_path):
 )
 def test_a_wrong_entry_is_refused_in_a_line_before_anything_plays(changes, message, tmp_path):
     assert message in refused(*check(write_entry(tmp_path / "entry", **changes)))
+
+
+@pytest.mark.parametrize(
+    ("figures", "message"),
+    [
+        (
+            {"p_hmi": 0.9, "exceeded": {"0.5": 6.6}},
+            "no figure 'exceeded'; valid: p_hmi, exceeded_m",
+        ),
+        ({"families": {"dashes": {"p_hmi": 0.9}}}, "no figure 'dashes'; valid: ramps"),
+        ({"exceeded_m": {"0.05": 6.6, "0.1": 6.6}}, "no figure '0.1'; valid: 0.5, 0.05"),
+        ({"exceeded_m": 6.6}, "no figure 'exceeded_m' with an interval"),
+    ],
+)
+def test_an_unknown_figure_is_refused_before_anything_plays(
+    figures, message, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(Auditor, "prepare", None)
+    assert message in refused(*check(write_entry(tmp_path / "entry", figures=figures)))
 
 
 def test_a_missing_file_and_a_missing_entry_are_refused(tmp_path):

@@ -7,6 +7,7 @@ import pytest
 
 from spoofgym.bench.experiments import suite
 from spoofgym.bench.experiments.campaign import CampaignResults
+from spoofgym.bench.experiments.entry import FILE, compare_figures, list_spoofer_figures
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.scores.at_budget import AlarmCurve, exceed_at_budget
 from spoofgym.cli.suites import leave_uncalibrated
@@ -15,6 +16,7 @@ from spoofgym.tasks import DETECTOR_TASKS
 from ..command_line import call, read, refused
 from ..detectors.learned.files import write_guard
 from .detector_support import NOMINAL, small_task
+from .test_entry import claim_all
 
 OWN = """
 from spoofgym.spoofers import Ramp
@@ -46,6 +48,8 @@ def test_a_spoofer_meets_the_detectors_of_the_suite_beside_the_usual_attacks(tmp
     never, snapshot = found["detectors"]
     assert [row["detector"] for row in (never, snapshot)] == ["never", "snapshot-chi2"]
     assert set(snapshot["others"]) == {"open-loop", "accelerating-ramp"}
+    known = list_spoofer_figures(["never", "snapshot-chi2"], ["open-loop", "accelerating-ramp"])
+    assert len([*compare_figures(claim_all(known), found)]) == 2 * (2 + 3 * 2)
     moved = snapshot["exceeded_m"]["0.5"]
     assert moved["low"] <= moved["value"] <= moved["high"] < never["exceeded_m"]["0.5"]["value"]
     assert moved["low"] < moved["high"]  # the fit is in it
@@ -58,6 +62,16 @@ def test_a_spoofer_meets_the_detectors_of_the_suite_beside_the_usual_attacks(tmp
     assert max(map(len, lines[:-2])) <= 100
     assert (cells.path / "report.html").is_file()
     assert json.loads((cells.path / "summary.json").read_text())["entropy"] == 3
+
+
+def test_an_unknown_figure_of_a_spoofer_is_refused_before_anything_plays(tmp_path, monkeypatch):
+    monkeypatch.setattr("spoofgym.cli.audit.calibrate_suite", None)
+    entry = {"format": 1, "suite": "spoofgym-bench-v1", "task": "D1", "side": "spoofer"}
+    entry |= {"name": "mine", "who": "A. Nyone", "player": "ramp", "files": {}}
+    entry["figures"] = {"detectors": {"ewma": {"alarm_rate": 0.05}}}
+    (tmp_path / FILE).write_text(json.dumps(entry))
+    message = "no figure 'ewma'; valid: never, snapshot-chi2"
+    assert message in refused(*words(tmp_path / "out", "--check", str(tmp_path)))
 
 
 def test_a_quick_audit_leaves_out_detectors_without_thresholds():

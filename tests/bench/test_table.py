@@ -3,7 +3,7 @@
 import pytest
 from jinja2 import UndefinedError
 
-from spoofgym.bench.report.table import Table, metres, percent, render_template, share
+from spoofgym.bench.report.table import Table, interval, metres, percent, render_template, share
 
 TABLE = Table(
     ("detector", "name"),
@@ -14,6 +14,25 @@ ROWS = [
     {"name": "one | two\nlines", "per_run": 0.0125, "alarms": 3},
     {"name": "never", "per_run": None, "alarms": 0},
 ]
+
+
+@pytest.mark.parametrize(
+    ("ends", "digits", "text"),
+    [
+        ((8.7, 8.7, 8.7), None, "8.7 (within 0.05)"),
+        ((476.43, 476.42, 476.44), None, "476 (within 0.5)"),
+        ((0.004, 0.0, 0.004), None, "0.00 (within 0.005)"),
+        ((-0.001, -0.004, 0.004), None, "-0.00 (within 0.005)"),
+        ((100.0, 99.98, 100.0), 1, "100.0 (within 0.05)"),
+        ((1.04, 1.06, 1.14), 1, "1.0 (within 0.15)"),
+        ((1.0, 1.0, 1.1), None, "1.0 (1.0 to 1.1)"),
+        ((8.7, 8.7, None), None, "8.7 (8.7 or more)"),
+        ((8.7, None, 8.7), None, "8.7 (? to 8.7)"),
+        ((None, None, None), None, "-"),
+    ],
+)
+def test_no_interval_is_printed_without_a_width(ends, digits, text):
+    assert interval(dict(zip(("value", "low", "high"), ends, strict=True)), digits) == text
 
 
 def test_a_column_takes_a_key_or_a_function_and_a_form(capsys):

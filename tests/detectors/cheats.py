@@ -253,3 +253,7 @@ class Fails(Outsider):
     def prints(self, epoch, verdict):
         print("a word of the detector", flush=True)
         return verdict
+
+    def floods(self, epoch, verdict):
+        os.write(2, b"a word of the detector\n" * 10_000)
+        return verdict

@@ -244,11 +244,18 @@ def test_one_that_starts_ever_more_processes_is_ended_with_them(failing, monkeyp
         os.killpg(detector._bound._host.process.pid, 0)
 
 
-def test_a_detector_that_prints_judges_all_the_same(capfd):
-    check_judges_all_the_same(Isolated({"name": FAILS, "how": "prints"}), epochs())
-    shown = capfd.readouterr()
-    assert shown.out == ""
-    assert "a word of the detector" in shown.err
+@pytest.mark.parametrize("how", ["prints", "floods"])
+def test_a_detector_that_prints_judges_all_the_same_and_is_cut(how, capfd):
+    detector = Isolated({"name": FAILS, "how": how})
+    check_judges_all_the_same(detector, epochs())
+    del detector  # with the last of what it prints
+    gc.collect()
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.startswith("a word of the detector\n")
+    cut = f"\n{FAILS} has printed {isolated.MOST_PRINTED} bytes: no more is shown\n"
+    assert err.count(cut) == (how == "floods")
+    assert len(err.removesuffix(cut)) == (isolated.MOST_PRINTED if how == "floods" else 8 * 23)
 
 
 def check_judges_all_the_same(detector, seen):

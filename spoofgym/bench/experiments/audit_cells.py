@@ -106,6 +106,11 @@ class AuditPlan:
         self.entropy = choose_entropy(root, entropy)
         self.worlds = Worlds(self.task, self.entropy, threads)
 
+    def list_families(self, detector: str) -> list[str]:
+        """Keys of the families that a detector of a name meets."""
+        made = any(detector in made_for for made_for in self.worlds.shipped.values())
+        return [each.key for each in self.families if each != TRAINED or made]
+
 
 @dataclass(frozen=True)
 class AuditCells(Experiment):

@@ -60,9 +60,8 @@ class CleanCells(Experiment):
         self, cells: Sequence[Cell], results: Reader, context: Context
     ) -> Iterator[Result]:
         chunks = [range(*map(int, cell.key.split("-"))) for cell in cells]
-        played = self.player.play_chunks(self.detectors, chunks, self.split, self.in_loop)
-        for cell, part in zip(cells, played, strict=True):
-            context.tick(cell.work)
+        how = self.split, self.in_loop, context.tick
+        for part in self.player.play_chunks(self.detectors, chunks, *how):
             yield Result(part._asdict())
 
     def collect_runs(self, results: Reader) -> CleanRuns:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -14,7 +14,9 @@ from ...core.reading import read_json
 from ...core.registry import parse_spec
 from ...policies.card import NAME, Record, format_error
 from ...policies.onnx_file import SUFFIX
-from ...tasks import get_detector_task
+from ...tasks import EVENTS, get_detector_task
+from ..scores.detector import CLEAN, WINDOW
+from ..scores.scores import SHARES
 
 FILE = "entry.json"
 ROUNDING = 0.01
@@ -24,6 +26,28 @@ LARGEST_ENTRY = 2**20
 FileName = Annotated[str, Field(pattern=rf"^{NAME}$")]
 Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 Figures = dict[str, float | dict[str, float | dict[str, float | dict[str, float]]]]
+
+INTERVAL = dict.fromkeys(("value", "low", "high"))
+EXCEEDED = {"exceeded_m": {f"{share:g}": INTERVAL for share in SHARES}}
+
+
+def list_detector_figures(families: Iterable[str]) -> dict[str, Any]:
+    """Figures that an audit of a detector has, without their values."""
+    scored = {"p_hmi": INTERVAL, **EXCEEDED}
+    return {
+        **scored,
+        "families": dict.fromkeys(families, scored),
+        "false_alarms": dict.fromkeys((WINDOW, CLEAN, *EVENTS), INTERVAL),
+        "false_alarms_per_hour": INTERVAL,
+        "ages": {"missed": INTERVAL},
+    }
+
+
+def list_spoofer_figures(detectors: Iterable[str], others: Iterable[str]) -> dict[str, Any]:
+    """The same of a spoofer, against each detector, beside other attacks."""
+    rates = dict.fromkeys(("false_alarms_per_hour", "alarm_rate"), INTERVAL)
+    row = {**rates, **EXCEEDED, "others": dict.fromkeys(others, EXCEEDED["exceeded_m"])}
+    return {"detectors": dict.fromkeys(detectors, row)}
 
 
 def list_player_files(player: str) -> set[str]:
@@ -90,7 +114,8 @@ class Figure(NamedTuple):
 
 
 def compare_figures(claimed: Any, found: Any, name: str = "") -> Iterator[Figure]:
-    """Compare figures that are claimed with an audit, as ``--json`` prints it."""
+    """Compare figures that are claimed with an audit, as ``--json`` prints it, or with those that
+    one will have: a ValueError for an unknown one."""
     if isinstance(found, list):  # rows, each of a detector or a family
         found = {str(row.get("family") or row.get("detector")): row for row in found}
     if not isinstance(found, Mapping):

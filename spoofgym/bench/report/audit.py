@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,13 +12,10 @@ from ..scores.audit import Audit, format_age
 from ..scores.campaign import CONTROLS, extract_name
 from ..scores.scores import SHARES
 from .campaign import OVER, bound_text, shorten_label
-from .table import Table, format_number, interval, metres, percent
+from .table import Table, format_number, interval, metres, percent, render_template
 
 LINES, WIDTH = 39, 100
-LABEL, VALUE = 34, 40  # characters of the first two columns
-NO_REFERENCE = "no score of a non-learned detector is stored for this task"
-BY = {"audit": "by the task's families", "campaign": "in a campaign"}
-"""Where a reference's figures come from."""
+LABEL = 34  # characters of the first column
 Row = dict[str, Any]
 REFERENCES = ("open-loop", "accelerating-ramp")
 """Attacks that a spoofer is compared with."""
@@ -31,8 +27,7 @@ WIDTHS = (26, 8, 22, 8, 13, 13)
 def format_screen(audit: Audit) -> list[str]:
     """Lines of the screen, without the answer."""
     found = audit.as_dict()
-    lines = [line[:WIDTH] for line in (*_head(found), *_figures(found), *_families(found), "")]
-    lines += _wrap(_ages(found))
+    lines = [*_figures(found), "", *_wrap(_ages(found))]
     lines += [""] if found["warnings"] else []
     for text in found["warnings"]:
         lines += _wrap(text, "! ")
@@ -47,49 +42,15 @@ def _wrap(text: str, bullet: str = "") -> list[str]:
     return [line.replace("\xa0", " ") for line in lines]
 
 
-def _head(found: dict[str, Any]) -> Iterator[str]:
-    yield f"{found['task']}: {found['title']}"
-    drawn = "" if found["entropy"] is None else f", seed {found['entropy']}"  # None of a log
-    yield (
-        f"{found['detector']}: {found['runs']} runs of each of {len(found['families'])} families, "
-        f"chosen on {found['selection_runs']} ({found['budget']}{drawn})"
-    )
-    yield ""
-
-
-def _figures(found: dict[str, Any]) -> Iterator[str]:
-    reference, floor = found["reference"], found["floor_m"]
-    yield _row("", "this detector", "" if reference is None else "best non-learned")
-    requested, measured = found["requested_per_hour"], interval(found["false_alarms_per_hour"])
-    yield _row(
-        "false alarms an hour",
-        measured + (", as published" if requested is None else f", requested {requested:g}"),
-    )
-    worst = found["worst_in_half"], found["worst_in_few"]
-    for share, family in zip(SHARES, worst, strict=True):
-        each = found["exceeded_m"][f"{share:g}"]
-        stored = "" if reference is None else interval(reference["exceeded_m"][f"{share:g}"])
-        yield _row(
-            f"exceeded in {100 * share:g} % of runs [m]", f"{interval(each)} {family}", stored
-        )
-    limits = "not known"
-    if floor is not None:
-        ends = (format_number(floor[name]["value"] or 0.0) for name in ("half", "few"))
-        limits = "{} in 50 %, {} in 5 % of runs".format(*ends)
-    yield _row("a perfect detector allows [m]", limits)
-    yield _row("no attack without alarm exceeds", _bound(found["zero_alarm"]))
-    missed = percent(found["ages"]["missed"])
-    yield _row("missed within the time to alert", f"{missed} % of test ramps")
-    yield _row("time for an epoch of a receiver", f"{found['cost_us']:.2g} us")
-    if reference is None:
-        yield f"best non-learned: {NO_REFERENCE}"
-    else:
-        yield f"best non-learned: {reference['detector']}, {BY[reference['by']]}"
-    yield ""
-
-
-def _row(label: str, value: str, other: str = "") -> str:
-    return f"{label:<{LABEL}}{value:<{VALUE}}{other}".rstrip()
+def _figures(found: Row) -> list[str]:
+    """Figures and families, these by their P(HMI)."""
+    ranked = sorted(found["families"], key=lambda each: -(each["p_hmi"]["value"] or 0.0))
+    texts = [
+        f"  {each['family'] + '*' * each['held_out']:<20}{percent(each['p_hmi'], 0)}"
+        for each in ranked
+    ]
+    values = {**found, "ranked": texts, "bound": _bound(found["zero_alarm"])}
+    return [x.rstrip()[:WIDTH] for x in render_template("screen.txt.j2", values).splitlines()]
 
 
 def _bound(bound: dict[str, Any] | None) -> str:
@@ -97,22 +58,9 @@ def _bound(bound: dict[str, Any] | None) -> str:
         return "not looked for: needs the family open-loop"
     value = bound["restricted_m"] or bound["free_m"]
     if value is None:
-        reason = re.split("[:;] ", re.sub("^no .*?: ", "", bound["why"]))[0]
-        return textwrap.shorten(f"not known ({reason})", WIDTH - LABEL, placeholder=" ...")
+        reason = bound.get("reason", bound["why"])
+        return f"not known ({textwrap.shorten(reason, WIDTH - LABEL - 12, placeholder=' ...')})"
     return value if isinstance(value, str) else f"{format_number(value)} m in the mean"
-
-
-def _families(found: dict[str, Any]) -> Iterator[str]:
-    ranked = sorted(found["families"], key=lambda each: -(each["p_hmi"]["value"] or 0.0))
-    limit = found["alert_limit_m"]
-    yield f"P(HMI) at {limit:g} m by family [%], * of those held out from training"
-    texts = [
-        f"  {each['family'] + '*' * each['held_out']:<20}{percent(each['p_hmi'], 0)}"
-        for each in ranked
-    ]
-    half = (len(texts) + 1) // 2
-    for k in range(half):
-        yield f"{texts[k]:<48}{''.join(texts[k + half : k + half + 1])}".rstrip()
 
 
 def _ages(found: dict[str, Any]) -> str:
@@ -162,9 +110,8 @@ def write_spoofer_audit(summary: Row, spoofer: str, task: str, budget: str) -> R
     answer = f"{spoofer}: no score, as no run is silent without an attack"
     if known:
         best = min(known, key=lambda row: row["exceeded_m"][HALF]["value"])
-        beside = [f"{x} {_exceeded(found, HALF)} m" for x, found in best["others"].items()]
-        if floor:
-            beside.append(f"a perfect detector allows {metres(floor['half']['value'])} m")
+        beside = [f"{x} {metres(found[HALF]['value'])} m" for x, found in best["others"].items()]
+        beside += [f"a perfect detector allows {metres(floor['half']['value'])} m"] if floor else []
         answer = (
             f"{spoofer}: {interval(best['exceeded_m'][HALF])} m in half of the runs of the "
             f"tightest of {len(counted)} detectors, {shorten_label(best['detector'])}, at "
@@ -176,12 +123,8 @@ def write_spoofer_audit(summary: Row, spoofer: str, task: str, budget: str) -> R
     return {**names, **plain, "floor_m": floor, "detectors": rows, "answer": answer}
 
 
-def _exceeded(found: Row, part: str) -> str:
-    return "-" if (x := found[part]["value"]) is None else format_number(x)
-
-
 def _both_exceeded(name: str, row: Row) -> str:
-    return ", ".join(_exceeded(row["others"][name], part) for part in (HALF, FEW))
+    return ", ".join(metres(row["others"][name][part]["value"]) for part in (HALF, FEW))
 
 
 def format_reach(audit: Row) -> list[str]:
@@ -194,14 +137,12 @@ def format_reach(audit: Row) -> list[str]:
             "in 50 % of runs [m]",
             lambda row: interval(row["exceeded_m"][HALF]) + ("" if row["within_budget"] else OVER),
         ),
-        ("in 5 % [m]", lambda row: _exceeded(row["exceeded_m"], FEW)),
+        ("in 5 % [m]", lambda row: metres(row["exceeded_m"][FEW]["value"])),
         *((f"{name} 50, 5 %", partial(_both_exceeded, name)) for name in rows[0]["others"]),
     )
     widths = WIDTHS[: 4 + len(rows[0]["others"])]
-    limits = "not known"
-    if floor:
-        ends = (metres(floor[name]["value"]) for name in ("half", "few"))
-        limits = "{} m in 50 %, {} m in 5 % of runs".format(*ends)
+    ends = [metres(floor[name]["value"]) for name in ("half", "few")] if floor else []
+    limits = "{} m in 50 %, {} m in 5 % of runs".format(*ends) if ends else "not known"
     bounds = [(row["detector"], bound_text(row["zero_alarm"], "")) for row in rows]
     known = [f"{text} m against {shorten_label(name)}" for name, text in bounds if text]
     return [

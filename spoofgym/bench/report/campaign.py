@@ -386,8 +386,7 @@ def bound_notes(summary: Row) -> list[str]:
     for row in summary["detectors"]:
         bound = row["bracket"]["zero_alarm"]
         if bound["value"] is None and bound["why"]:
-            why = re.sub(r"^no zero-alarm bound for \w+: ", "", bound["why"])
-            labels.setdefault(why, []).append(row["detector"])
+            labels.setdefault(bound["why"], []).append(row["detector"])
     return [f"{', '.join(names)}: {why}" for why, names in labels.items()]
 
 

@@ -145,7 +145,7 @@ def list_campaign_pictures(
             "P(HMI) against alert limit",
             "Share of the runs in which the worst attack at each alert limit exceeds it with "
             "no alarm up to the time to alert after it.",
-            figures.draw_lines(curves, "alert limit [m]", "P(HMI)", log="x", limit_m=limit_m),
+            figures.draw_lines(curves, "alert limit [m]", figures.HAZARD, log="x", limit_m=limit_m),
         ),
         page.Picture(
             "Missed within the time to alert",
@@ -156,7 +156,7 @@ def list_campaign_pictures(
         page.Picture(
             "Still undetected",
             "Kaplan-Meier estimate under the strongest attack on each detector.",
-            figures.draw_lines(survivals, onset, "share undetected"),
+            figures.draw_lines(survivals, onset, "attacks undetected [share]"),
         ),
     ]
     crossed = any(dot.estimate["value"] is not None for row in missed for dot in row.dots)

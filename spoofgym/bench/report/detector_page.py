@@ -11,33 +11,39 @@ import numpy as np
 from ...policies.card import SPOOFER
 from ...tasks import DETECTOR_TASKS
 from ..experiments.audit_cells import AuditPlan
-from ..experiments.audit_worlds import NEAR_ALARM
+from ..experiments.audit_worlds import NEAR_ALARM, TRAINED
 from ..experiments.store import Store
 from ..runs.episode import play_episode
 from ..runs.panel import select_runs
 from ..runs.players import PlayerSpec
 from ..runs.record import MEASURES, Aim, Protection
-from ..scores.audit import format_age
 from ..scores.campaign import score_hazard
 from ..scores.detector import FamilyScore
 from ..scores.scores import SHARES
 from . import figures
 from .page import Page, Picture, Sheet, list_played_settings, record_replay
-from .table import Table, interval, metres, percent, yes_no
+from .table import Table, in_percent, interval, percent, render_template
 from .tasks import DETECTOR_SCORES
 
 Row = dict[str, Any]
 FAMILIES = Table(
-    ("detector", "detector"),
-    ("family", "family"),
-    ("held out", "held_out", yes_no),
-    ("P(HMI) [%]", "p_hmi", percent),
-    ("exceeded in 50 % [m]", lambda row: row["exceeded_m"]["0.5"], interval),
-    ("in 5 % [m]", lambda row: row["exceeded_m"]["0.05"], interval),
-    ("worst attack", lambda row: f"({row['attack']['letter']}) {row['attack']['spoofer']}"),
+    ("family", lambda row: row["family"] + "*" * row["held_out"]),
+    ("its attacks", lambda row: explain_family(row["family"]) or None),
+    ("P(HMI) [% of runs]", "p_hmi", percent),
+    ("exceeded in 50 % of runs [m]", lambda row: row["exceeded_m"]["0.5"], interval),
+    ("in 5 % of runs [m]", lambda row: row["exceeded_m"]["0.05"], interval),
+    ("the worst of them", lambda row: row["attack"]["spoofer"]),
     ("runs that count", "counted"),
+    ("detector", "detector"),
+)
+HELD_OUT = "* held out: no detector may be trained on it."
+BENIGN = (
+    "Public families are those not held out. The last column: of the runs without an attack that "
+    "have such an event, those with an alarm. A front is one of the ionosphere."
 )
 
+SHARE_KEYS = tuple(f"{share:g}" for share in SHARES)
+MOVED = "undetected displacement exceeded in 50 % of the runs"
 UNSCORED = "There are no scores yet: the command that plays them goes on."
 
 
@@ -49,6 +55,7 @@ def build_scores_page(
     config = store.config["config"]
     found, limit_m = load_families(store), config["alert_limit_m"]
     rows = [{"detector": each, **x.as_dict()} for each, own in found.items() for x in own]
+    rows.sort(key=lambda row: row["exceeded_m"]["0.5"]["value"] or 0.0, reverse=True)
     records = [] if scores is None else scores["detectors"]
     played = {(row["detector"], row["family"]) for row in rows}
     task = DETECTOR_TASKS.get(config["task"])
@@ -63,8 +70,8 @@ def build_scores_page(
         missing=missing if found else keys,
         pictures=list_score_pictures(found, rows, records, limit_m),
         sheets=[
-            Sheet("Detectors", DETECTOR_SCORES, records),
-            Sheet("Families of attacks", FAMILIES, rows),
+            Sheet("Detectors", DETECTOR_SCORES, records, BENIGN),
+            Sheet("Families of attacks", FAMILIES, rows, HELD_OUT),
         ],
         replay=replay,
         played=list_played_settings(store),
@@ -90,7 +97,17 @@ def replay_worst_attack(
     numbers = select_runs(world.setup, plan.entropy, "evaluation", plan.runs, onset)
     player = PlayerSpec(attack.spoofer, SPOOFER, dict(attack.spec))
     episode = play_episode(world, detector, player, int(numbers[moved.argmax()]), plan.entropy)
-    return record_replay(episode, task.alert_limit_m)
+    shown = record_replay(episode, task.alert_limit_m)
+    every = (each for each in families if each.counted)
+    if (most := max(every, key=lambda each: each.protection.score_worst(aim))) is not worst:
+        shown["title"] += f", of those in the world of {task.key} itself, as {most.family} is not"
+    return shown
+
+
+def explain_family(key: str) -> str:
+    """What the attacks of a family have in common, as the tasks say it; "" of an unknown one."""
+    every = (each for task in DETECTOR_TASKS.values() for each in task.families)
+    return {each.key: each.title for each in (*every, TRAINED)}.get(key, "")
 
 
 def load_families(store: Store) -> dict[str, list[FamilyScore]]:
@@ -109,43 +126,21 @@ def load_families(store: Store) -> dict[str, list[FamilyScore]]:
     return scores
 
 
-def write_score_verdict(record: Row) -> list[str]:
-    """What is known of a detector, in words, the answer of an audit first."""
-    half, few = (interval(record["exceeded_m"][share]) for share in ("0.5", "0.05"))
-    rate, limit = interval(record["false_alarms_per_hour"]), f"{record['alert_limit_m']:g} m"
-    lines = [record["answer"] + "."] if "answer" in record else []
-    lines += [f"Warning: {text}." for text in record.get("warnings", [])]
-    lines += [f"Simulated world: {record['title']}."] if "title" in record else []
-    lines.append(
-        f"{record['detector']}: under the family of attacks that is worst by this measure, "
-        f"{record['worst_family']}, the error is beyond {limit} without an alarm in time in "
-        f"{percent(record['p_hmi'])} % of the runs. The attacks that displace most, by {half} m in "
-        f"half of the runs and by {few} m in 5 % of them, may be of another family. False alarms: "
-        f"{rate} an hour."
+def write_score_verdict(record: Row) -> list[tuple[str, ...]]:
+    """What a detector misses, by what attack, after how long, and how sure that is: heads and
+    texts, in which each family of attacks stands once, explained."""
+    worst: dict[str, list[str]] = {}
+    for share, runs in zip(SHARE_KEYS, ("half of the runs", "5 % of them"), strict=True):
+        best = max(record["families"], key=lambda row: row["exceeded_m"][share]["value"] or 0.0)
+        roles = worst.setdefault(best["family"], [])
+        roles.append("displaces most " * (not roles) + f"in {runs}")
+    worst.setdefault(record["worst_family"], []).append(
+        f"passes {record['alert_limit_m']:g} m most often with no alarm in time, in "
+        f"{percent(record['p_hmi'])} % of its runs (P(HMI))"
     )
-    if "ages" in record:
-        ages = record["ages"]
-        found = ", ".join(
-            f"{percent(share, 0)} % after {format_age(age)}"
-            for age, share in zip(ages["age_s"], ages["found"], strict=True)
-        )
-        lines.append(
-            f"By the time from switch-on to the attack, it finds of plain test ramps {found}. Of "
-            f"those that pass {limit}, over all these times, {percent(ages['missed'])} % raise no "
-            f"alarm in time. Attack and time to alert last {record['window_s']:g} s together."
-        )
-        if record["floor_m"] and (floor := record["floor_m"]["half"]["value"]) is not None:
-            lines.append(f"A perfect detector would allow {metres(floor)} m in half of the runs.")
-        if other := record["reference"]:
-            moved = interval(other["exceeded_m"]["0.5"])
-            lines.append(f"{other['detector']}, the best non-learned one, allows {moved} m there.")
-    few_runs = record["exceeded_m"]["0.05"]["high"] is None
-    return [
-        *lines,
-        f"{record['runs']} runs of every family, attacks chosen on {record['selection_runs']} "
-        f"others{', too few to bound what 5 % exceed' if few_runs else ''}; in brackets 95 % "
-        "intervals. Another attack may reach more.",
-    ]
+    values = {"record": record, "worst": worst, "explain": explain_family}
+    lines = render_template("verdict.txt.j2", values).splitlines()
+    return [tuple(line.split(": ", 1)) for line in lines]
 
 
 def list_score_pictures(
@@ -157,34 +152,45 @@ def list_score_pictures(
     if not rows:
         return []
     floors = [each["floor_m"]["half"]["value"] for each in records if each.get("floor_m")]
-    keys = dict.fromkeys(row["family"] for row in rows)
-    own = {key: [row for row in rows if row["family"] == key] for key in keys}
+    own: dict[str, list[Row]] = {}
+    for row in rows:
+        own.setdefault(FAMILIES.columns[0].text(row), []).append(row)
     band = (floors[0] if floors else None, None)
     moved = [
         figures.DotRow(
-            key, [figures.Dot(x["detector"], x["exceeded_m"]["0.5"]) for x in own[key]], band
+            f"{key}: {explain_family(each[0]['family'])}".removesuffix(": "),
+            [figures.Dot(x["detector"], x["exceeded_m"]["0.5"]) for x in each],
+            band,
         )
-        for key in keys
+        for key, each in own.items()
     ]
     curves = [_hazard(detector, families) for detector, families in found.items()]
     pictures = [
         Picture(
-            "Displacement by family of attacks",
-            "Undetected displacement that the worst attack of each family exceeds in 50 % of the "
-            "runs. Grey: floor, where known.",
-            figures.draw_dots(moved, "displacement [m]", limit_m=limit_m),
+            "Undetected displacement by family of attacks",
+            "What the worst attack of each family exceeds in half of the runs with no alarm in "
+            "time, with its 95 % interval; * held out from training."
+            + " Grey: what a perfect detector would allow (floor)."
+            * bool(floors),
+            figures.draw_dots(moved, f"{MOVED} [m]", limit_m=limit_m),
             figures.dots_height(moved),
         ),
         Picture(
             "P(HMI) against alert limit",
-            "The largest over all attacks of all families at each alert limit.",
-            figures.draw_lines(curves, "alert limit [m]", "P(HMI)", log="x", limit_m=limit_m),
+            "How often the error passes an alert limit with no alarm in time, under the family of "
+            "attacks that is worst at that limit.",
+            figures.draw_lines(curves, "alert limit [m]", figures.HAZARD, log="x", limit_m=limit_m),
         ),
     ]
-    if ages := [_ages(each) for each in records if "ages" in each]:
-        title, caption = "Found at every age", "Test ramps found, by time from switch-on to onset."
-        draw = figures.draw_lines(ages, "time since switch-on [s]", "share found", log="x")
-        pictures.insert(0, Picture(title, caption, draw))
+    if probed := [each for each in records if "ages" in each]:
+        rates = probed[0]["ages"]["rate_mps"]
+        caption = (
+            f"The same {len(rates)} ramps of {min(rates):.2g} to {max(rates):.2g} m/s in the same "
+            "runs, begun at each of these times; with 95 % intervals."
+        )
+        x, y = "time from switch-on to the onset of the ramp [min]", "ramps with an alarm [%]"
+        draw = figures.draw_lines([_ages(each) for each in probed], x, y, log="x")
+        pictures.insert(0, Picture("Test ramps found, by the time since switch-on", caption, draw))
     return pictures
 
 
@@ -200,4 +206,5 @@ def _hazard(detector: str, families: Sequence[FamilyScore]) -> figures.Line:
 
 def _ages(record: Row) -> figures.Line:
     ages = record["ages"]
-    return figures.make_curve(record["detector"], ages["age_s"], ages["found"])
+    found = [in_percent(each) for each in ages["found"]]
+    return figures.make_curve(record["detector"], np.array(ages["age_s"]) / 60.0, found)

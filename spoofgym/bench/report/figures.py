@@ -23,6 +23,7 @@ from ...spoofers import make_spoofer
 from ..experiments.suite import Suite
 from ..runs.play import SpooferController
 from ..runs.players import PlayerSpec
+from .table import in_percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,6 +48,7 @@ DASHES = ("-", "--", "-.", ":")
 SMALLEST_M = 0.05  # displacements below it lie on the edge of the drawing
 LIMITS_M = np.geomspace(1.0, 20_000.0, 173)
 """Alert limits of the curves of P(HMI)."""
+HAZARD = "P(HMI) [% of the runs]"
 Draw = Callable[["Axes"], None]
 
 
@@ -96,10 +98,11 @@ def make_curve(
 def make_hazard_curve(
     label: str, score: Callable[[float], Mapping[str, Any]], *, few: bool = True, grey: bool = False
 ) -> Line:
-    """Curve of P(HMI), whose `score` has an estimate at any alert limit, up to where it is 0."""
+    """Curve of P(HMI) [%], whose `score` has an estimate at any alert limit, up to where it is
+    0."""
     found: list[Mapping[str, Any]] = []
     for limit in LIMITS_M:
-        found.append(score(limit))
+        found.append(in_percent(score(limit)))
         if not found[-1]["value"]:
             break
     return make_curve(label, LIMITS_M[: len(found)], found, few=few, grey=grey)
@@ -203,7 +206,8 @@ def _colour(k: int) -> str:
 
 def _plain(label: str) -> str:
     """Label of a legend that is no formula, and is not left out, as one with a dash is."""
-    return re.sub("^_", " _", textwrap.fill(label, 60).replace("$", r"\$"))
+    words = re.sub(r",(?=\S)", ", ", label).replace("$", r"\$")
+    return re.sub("^_", " _", textwrap.fill(words, 60, break_long_words=False))
 
 
 def _scale_metres(ax: Axes, name: str) -> None:
@@ -244,6 +248,8 @@ def draw_lines(
             _scale_metres(ax, axis)
         if limit_m is not None:
             _draw_limit(ax, limit_m)
+        if "%" in y:
+            ax.set_ylim(-2.0, 102.0)
         ax.set_xlabel(x)
         ax.set_ylabel(y)
 
@@ -253,7 +259,7 @@ def draw_lines(
 def _draw_line(ax: Axes, line: Line, look: dict[str, Any]) -> None:
     x, y = np.asarray(line.x), np.asarray(line.y)
     end = len(x) if line.end is None else line.end + 1
-    marker = "o" if len(x) == 1 else None
+    marker = "o" if len(x) < 9 else None
     ax.plot(x[:end], y[:end], marker=marker, label=_plain(line.label), **look)
     if line.end is not None:
         ax.plot(x[line.end :], y[line.end :], **{**look, "lw": 1, "ls": ":"})

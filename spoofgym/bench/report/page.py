@@ -50,10 +50,10 @@ class Sheet(NamedTuple):
 
 @dataclass(frozen=True)
 class Page:
-    """What a report shows, in this order."""
+    """What a report shows, in this order; paragraphs of the verdict may have a head."""
 
     title: str
-    verdict: Sequence[str]
+    verdict: Sequence[str | tuple[str, ...]]
     missing: Sequence[str] = ()
     pictures: Sequence[Picture] = ()
     sheets: Sequence[Sheet] = ()
@@ -71,15 +71,16 @@ def render_page(page: Page) -> str:
     except ImportError as error:
         why = f"No drawings: {error}."
     played = [(name, x if isinstance(x, str) else json.dumps(x)) for name, x in page.played]
-    values = {"page": page, "svgs": svgs, "why": why, "played": played, "terms": {}}
-    text = render_template("report.html.j2", {**values, "scores": page.scores})
-    terms = {
+    values = {"page": page, "svgs": svgs, "why": why, "played": played, "scores": None}
+    text = render_template("report.html.j2", {**values, "terms": {}})
+    values["terms"] = {
         term: what
         for term, what in load_terms().items()
         if re.search(rf"(?i)\b{re.escape(term)}", text)
     }
-    fits = len(text.encode()) < MOST_BYTES
-    values |= {"terms": terms, "scores": page.scores if fits else None}
+    whole = render_template("report.html.j2", {**values, "scores": page.scores})
+    if len(whole.encode()) < MOST_BYTES:
+        return whole
     return render_template("report.html.j2", values)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from itertools import zip_longest
@@ -11,8 +12,11 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from ..scores.audit import format_age
 from ..scores.statistics import format_number as format_number
+from ..scores.statistics import in_percent as in_percent
 from ..scores.statistics import interval as interval
+from ..scores.statistics import percent as percent
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -100,17 +104,6 @@ class Table:
 FIELDS = Table.of_texts("", "")  # names and values
 
 
-def in_percent(estimate: Mapping[str, float | None]) -> dict[str, float | None]:
-    """Proportion and the ends of its interval, in per cent."""
-    found = {key: estimate[key] for key in ("value", "low", "high")}
-    return {key: None if x is None else 100.0 * x for key, x in found.items()}
-
-
-def percent(estimate: Mapping[str, float | None], digits: int = 1) -> str:
-    """Proportion with its interval, in per cent."""
-    return interval(in_percent(estimate), digits)
-
-
 def share(digits: int) -> Callable[[float], str]:
     """Proportion in per cent."""
     return lambda value: f"{100.0 * value:.{digits}f}"
@@ -131,6 +124,7 @@ TEMPLATES = Path(__file__).with_name("templates")
 @cache
 def _environment(folder: Path) -> Environment:
     import jinja2
+    import markupsafe
 
     made = jinja2.Environment(
         loader=jinja2.FileSystemLoader(folder),
@@ -140,12 +134,17 @@ def _environment(folder: Path) -> Environment:
         autoescape=jinja2.select_autoescape(("html.j2",), default_for_string=False),
     )
     made.filters |= {
+        "breakable": lambda text: markupsafe.Markup(
+            re.sub(r"(?<=[,=])(?=\w)|(?=\(\w+[=,])", "<wbr>", str(markupsafe.escape(text)))
+        ),
+        "age": format_age,
         "g": "{:g}".format,
         "g3": "{:.3g}".format,
         "interval": interval,
         "json": json.dumps,
         "metres": metres,
         "number": format_number,
+        "percent": percent,
         "several": lambda values: ", ".join(sorted(set(values))),
     }
     return made

@@ -24,6 +24,8 @@ from .statistics import (
     bounded_mean,
     draw_resamples,
     format_number,
+    interval,
+    percent,
     percentiles,
 )
 
@@ -68,9 +70,21 @@ class AgeProbe(NamedTuple):
         return self._estimate_mean(self.share[age], self.counts[age])
 
     def compare_ages(self, age: int, other: int) -> Estimate:
-        """Part of the ramps that is found at an age less that at another one, paired by runs."""
+        """Part of the ramps that is found at an age less that at another one, paired by runs.
+
+        Where all runs agree at either age, as where none finds any, a bootstrap has no width of
+        it. Then the interval is that between what the bounds of both ages leave, exact ones
+        (`clopper1934` in `bounded_mean`) for an age without a width: low less high to high less
+        low, which holds the paired one.  By Bonferroni both bounds fail in at most 10 % of cases,
+        and the difference in fewer.
+        """
         both = self.counts[age] & self.counts[other]
-        return self._estimate_mean(self.share[age] - self.share[other], both, -1.0)
+        one, two = (self.share[k] for k in (age, other))
+        paired = self._estimate_mean(one - two, both, -1.0)
+        if not both.any() or min(np.ptp(one[both]), np.ptp(two[both])) > 0.0:
+            return paired
+        a, b = (self._estimate_mean(each, both) for each in (one, two))
+        return Estimate(paired.value, a.low - b.high, a.high - b.low)
 
     def estimate_missed(self) -> Estimate:
         """Part of the ramps beyond the alert limit with no alarm in time, over all ages."""
@@ -101,7 +115,8 @@ class AgeProbe(NamedTuple):
         if not worse:
             return
         first = next((each for each in worse if shares[each[0]] <= BLIND * shares[best]), None)
-        k, (_, low, high) = first or worse[-1]
+        k, less = first or worse[-1]
+        more = Estimate(-less.value, -less.high, -less.low)
         words = "finds less the longer it has been switched on"
         if first is not None:
             ages = (format_age(self.age_s[j]) for j in (k - 1, k))
@@ -111,7 +126,8 @@ class AgeProbe(NamedTuple):
         yield (
             f"{words}: it finds {100.0 * shares[best]:.0f} % of the test ramps when they begin "
             f"{format_age(self.age_s[best])} after switch-on, {100.0 * shares[k]:.0f} % after "
-            f"{format_age(self.age_s[k])} (paired {100.0 * low:+.0f} to {100.0 * high:+.0f})"
+            f"{format_age(self.age_s[k])}: {percent(more.as_json(), 0)} percentage points less "
+            "in the same runs"
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -185,11 +201,12 @@ class Audit:
     def _warn_of_false_alarms(self) -> Iterator[str]:
         score, alarms = self.score, self.score.false_alarms
         if self.requested_per_hour is not None:
-            measured = self.figures["false_alarms_per_hour"]
+            rate = self.figures["false_alarms_per_hour"]
+            measured = f"over {rate['low']:.2g}" if rate["value"] is None else interval(rate)
             promise = run_probability(self.requested_per_hour, score.window_s)
             if score.false_alarm_rate().low > promise:
                 yield (
-                    f"false alarms {_format_rate(measured)} an hour, above the "
+                    f"false alarms {measured} an hour, above the "
                     f"{self.requested_per_hour:g} that it is calibrated to"
                 )
         usual = score.false_alarm_rate(CLEAN)
@@ -202,11 +219,12 @@ class Audit:
         for name in (each for each in alarms if each not in (WINDOW, CLEAN)):
             rate = score.false_alarm_rate(name)
             if rate.low > BENIGN * max(usual.value, 1.0 / score.runs):
-                words.append(f"{name.replace('_', ' ')} {100.0 * rate.value:.0f} %")
+                event = name.replace("_", " ")
+                words.append(f"{100.0 * rate.value:.0f} % of the runs with a {event}")
         if words:
             yield (
-                f"takes benign events for attacks: alarms in {', '.join(words)} of runs with one, "
-                f"{100.0 * usual.value:.0f} % without"
+                f"takes benign events for attacks: alarms in {', '.join(words)}, in "
+                f"{100.0 * usual.value:.0f} % of those without"
             )
 
     def _warn_of_search(self) -> Iterator[str]:
@@ -221,9 +239,8 @@ class Audit:
                 less = compare_exceeded(other, parts[True], SHARES[0])
                 if less.low > BEHIND * every.score_worst(Aim(MEASURES[0], SHARES[0])):
                     yield (
-                        f"the search failed: {name} exceed {format_number(less.value)} m "
-                        f"({format_number(less.low)} to {format_number(less.high)}) more in half "
-                        f"of the runs than what was searched for against it: distrust {SEARCHED}"
+                        f"the search failed: {name} exceed {less} m more in half of the runs "
+                        f"than what was searched for against it: distrust {SEARCHED}"
                     )
         floor = self.floor_m and self.floor_m["half"]["value"]
         found = self.figures["exceeded_m"][f"{SHARES[0]:g}"]
@@ -296,10 +313,3 @@ def compare_exceeded(one: Protection, other: Protection, share: float) -> Estima
 def format_age(age_s: float) -> str:
     """Time in words, as people say it."""
     return f"{age_s:.0f} s" if age_s < 60.0 else f"{age_s / 60.0:.0f} min"
-
-
-def _format_rate(rate: Mapping[str, float | None]) -> str:
-    value, low, high = (
-        "?" if (x := rate[k]) is None else f"{x:.2g}" for k in ("value", "low", "high")
-    )
-    return f"{value} ({low} to {high})"

@@ -185,12 +185,11 @@ class DetectorScore:
         }
 
     def __str__(self) -> str:
-        worst, p = self.worst, self.p_hmi
-        low, high = (100.0 * x for x in (p.low, p.high))
+        worst, p = self.worst, statistics.percent(self.p_hmi.as_json())
         seen = "held out" if worst.held_out else "public"
         return (
-            f"{self.detector} in {self.task}: P(HMI | attack) {100.0 * p.value:.1f} % "
-            f"({low:.1f} to {high:.1f}) at {self.alert_limit_m:g} m, worst family {worst.family} "
-            f"({seen}), {worst.counted} runs; false alarms in "
+            f"{self.detector} in {self.task}: P(HMI | attack) {p} % at "
+            f"{self.alert_limit_m:g} m, worst family {worst.family} ({seen}), "
+            f"{worst.counted} runs; false alarms in "
             f"{100.0 * self.false_alarm_rate().value:.1f} % of {self.runs} clean runs"
         )

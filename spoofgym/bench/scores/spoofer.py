@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...spoofers.base import sees_statistics
 from .scores import select_clusters
-from .statistics import Estimate, FloatArray, draw_resamples, interval, percentiles
+from .statistics import Estimate, FloatArray, draw_resamples, percent, percentiles
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class SpooferScore:
 
     def __str__(self) -> str:
         where = f"{self.detector}, {self.world if self.task is None else self.task}"
-        alarms = interval({k: _percent(v) for k, v in self.alarm_rate._asdict().items()}, 1)
+        alarms = percent(self.alarm_rate.as_json())
         what = "" if self.value is None else f", {self.setting} {self.value:.4g}"
         over = "" if self.keeps_budget else f", over the budget of {100 * self.budget:g} %"
         exact, at = self.at_budget, ", alarms"
@@ -112,7 +112,3 @@ class SpooferScore:
             f"{self.spoofer} ({self.knowledge}{what}) against {where}: "
             f"{self.stealthy_displacement_m} m{at} in {alarms} % of {self.counted} runs{over}"
         )
-
-
-def _percent(share: float) -> float | None:
-    return None if math.isnan(share) else 100.0 * share

@@ -62,7 +62,8 @@ def format_number(value: float) -> str:
 
 def interval(estimate: Mapping[str, float | None], digits: int | None = None) -> str:
     """Number with its interval as text, from ``value``, ``low`` and ``high``, None where unknown.
-    `digits`: after the point; as many as suit the size by default."""
+    `digits`: after the point; as many as suit the size by default. One without a width at these
+    digits is printed as what they leave open: ``8.7 (within 0.05)``."""
     value, *ends = (estimate[key] for key in ("value", "low", "high"))
     if value is None:
         return "-"
@@ -70,7 +71,21 @@ def interval(estimate: Mapping[str, float | None], digits: int | None = None) ->
         digits = _digits(max((abs(end) for end in ends if end is not None), default=abs(value)))
     low, high = ("?" if end is None else f"{end:.{digits}f}" for end in ends)
     where = f"{low} or more" if ends[0] is not None and ends[1] is None else f"{low} to {high}"
+    if None not in ends and float(low) == float(high):
+        unit = 10.0**-digits
+        where = f"within {(0.5 + round(abs(float(low) - round(value, digits)) / unit)) * unit:g}"
     return f"{value:.{digits}f} ({where})"
+
+
+def in_percent(estimate: Mapping[str, float | None]) -> dict[str, float | None]:
+    """Proportion and the ends of its interval, in per cent."""
+    found = {key: estimate[key] for key in ("value", "low", "high")}
+    return {key: None if x is None else 100.0 * x for key, x in found.items()}
+
+
+def percent(estimate: Mapping[str, float | None], digits: int = 1) -> str:
+    """Proportion with its interval, in per cent."""
+    return interval(in_percent(estimate), digits)
 
 
 def _digits(size: float) -> int:

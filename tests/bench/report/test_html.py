@@ -23,6 +23,7 @@ from spoofgym.bench.runs.record import MEASURES, Aim, Protection, RunRecord, Win
 from spoofgym.bench.scores.detector import DetectorScore
 from spoofgym.core.plots import figure_class
 from spoofgym.detectors import DETECTORS, Ewma
+from spoofgym.tasks import DETECTOR_TASKS
 
 from ..support import RAMP, small_suite
 
@@ -149,8 +150,12 @@ def test_families_of_attacks_have_a_page_finished_or_not(tmp_path):
     named = {"family": {"key": "ramps", "held_out": False}, **sizes}
     store.put(Cell("ramps half", named), Result(*half))
     assert [*build_scores_page(store, scores).missing] == ["half / quiet"]
-    assert f"worst by this measure, {score.worst.family}, the error is beyond 20 m" in text
-    assert "<p>Warning: blind after 10 min.</p>" in text
+    verdict = " ".join(re.sub("<.*?>", "", each) for each in re.findall("<p>(.*)</p>", text))
+    assert "Warning: blind after 10 min. False alarms: 0.0 (0.0 to " in verdict
+    for each in (DETECTOR_TASKS["D1"].family(key) for key in ("ramps", "quiet")):
+        first = text[re.search(rf"\b{each.key}\b", text).start() :]
+        star = "*" * each.held_out
+        assert first.startswith((f"{each.key} ({each.title}) ", f"{each.key}{star}: {each.title}"))
     assert NAME not in text
 
 
