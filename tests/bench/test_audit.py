@@ -351,6 +351,13 @@ def test_what_no_run_can_do_without_is_checked_before_anything_plays():
     assert said == [f"Whim {broken}"]
 
 
+def test_a_class_with_a_rate_is_checked_without_a_world():
+    spec = {"name": "tests.outside.detectors:AverageRate", "false_alarms_per_hour": 1.0}
+    given, broken = module.check_contract(spec, print)
+    assert given["false_alarms_per_hour"] == 1.0
+    assert broken is None
+
+
 def test_a_quick_audit_scales_everything():
     quick, standard, full = BUDGETS.values()
     for small, large in ((quick, standard), (standard, full)):

@@ -110,7 +110,7 @@ def check_contract(detector: Any, say: Callable[[str], None]) -> tuple[Any, str 
     from ...testing.detector import check_detector, check_verdicts
 
     given = isolate(detector) if isinstance(detector, str | Mapping) else detector
-    judge = bare_detector(given)
+    judge = unwrap(bare_detector(given))
     if judge.card is None and not is_foreign(judge if isinstance(detector, type) else detector):
         return given, None
     name = judge.label or type(judge).__name__
