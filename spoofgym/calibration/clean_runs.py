@@ -129,7 +129,10 @@ class Player:
         now: str = "clean runs",
     ) -> CleanRuns:
         """Runs of a split by their numbers; `in_loop` takes one detector, which weighs."""
-        tick = lambda runs: self.progress.advance(float(runs), now)  # noqa: E731
+
+        def tick(runs: int) -> None:
+            self.progress.advance(float(runs), now)
+
         return join_runs(self.play_chunks(detectors, [numbers], split, in_loop, tick))
 
     def forget(self) -> None:
