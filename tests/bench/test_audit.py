@@ -379,7 +379,7 @@ def test_a_quick_audit_scales_everything():
 def test_flaws_of_detectors_from_outside_stand_in_words_in_the_first_task(kind, words):
     name = f"tests.outside.detectors:{kind.__name__}"
     found = spoofgym.audit(name, "D1", "quick", families=["ramps", "open-loop"])
-    aged = [text for text in found.warnings if "switch" in text]
+    aged = [text for text in found.warnings if "after switch-on" in text]
     assert len(aged) == (words is not None)
     assert words is None or words in aged[0]
 

@@ -57,7 +57,7 @@ def check(folder, *more):
     "player",
     [
         "snapshot-chi2:thresholds=nominal",
-        pytest.param("mine:AverageRate:thresholds=nominal", marks=pytest.mark.nightly),
+        pytest.param("mine:AverageRate:threshold_scale=30.0", marks=pytest.mark.nightly),
     ],
 )
 def test_a_good_entry_holds_and_a_false_figure_is_named(player, tmp_path):
