@@ -33,7 +33,7 @@ class AuditOptions:
         None,
         help="Size of all that is played: quick, standard or full, some 1, 3 or 12 minutes of "
         "a processor for a plain detector in D1; longer for a class of your own, in a process of "
-        "its own, whose calibration comes first, once, in some 5 minutes. Default: standard; "
+        "its own, whose calibration comes first, once, in some 3 minutes. Default: standard; "
         "quick with --check.",
     )
     family: list[str] | None = Option(
