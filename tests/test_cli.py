@@ -268,7 +268,7 @@ def test_bench_on_a_real_flight(data_folder):
     result = call(*line)
     assert result.exit_code == 0, result.output
     page = Path("out", "report.html").read_text()
-    for text in ("Only the trajectory is real", "the barometric altitude is taken as"):
+    for text in ("Only the trajectory is real", "is taken as height above the ellipsoid"):
         assert text in page
     found = read(*line, "--json")
     assert found["input"]["track"]["interpolated"] == 1210
