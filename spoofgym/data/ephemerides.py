@@ -308,7 +308,10 @@ class BroadcastConstellation:
         lost = set(e.satellite_id[e.healthy]) - valid
         last = float(e.time_of_ephemeris[e.healthy].max())
         if not lost:
-            return "; all satellites have a valid record then: lower the mask"
+            return (
+                f"; all {len(valid)} satellites of the files have a valid record then: lower the "
+                "mask, or give files of more stations (--ephemeris may be repeated)"
+            )
         return (
             f"; {len(lost)} of {len(lost | valid)} satellites have no valid record at "
             f"{_calendar(now)}, {len(lost & later)} of them have one later; the last record is of "
