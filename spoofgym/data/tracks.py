@@ -367,13 +367,16 @@ def _flat_row(row: dict[str, Any]) -> dict[str, Any]:
     """A row in one unit, with the time of its position where only the age of it is given."""
     for key, value in row.items():
         if isinstance(value, dict):
-            row[key] = next((value[unit] for unit in MEANT if unit in value), None)
+            unit = next((unit for unit in MEANT if unit in value), None)
+            if unit is None and _plain_name(key) in COLUMNS.difference(AIRCRAFT):
+                raise ValueError(f"`{key}` must be a value, got an object with {', '.join(value)}")
+            row[key] = None if unit is None else value[unit]
     if "after_s" in row:
         row["timestamp"] = row.get("timestamp", math.nan) + row["after_s"]
     now, age = row.get("now"), row.get("seen_pos")
     if isinstance(now, (int, float)) and isinstance(age, (int, float)):
         row["position_time"] = now - age * (1e3 if now > 1e11 else 1.0)
-    return {key: value for key, value in row.items() if not isinstance(value, list)}
+    return {key: value for key, value in row.items() if not isinstance(value, list)} or row
 
 
 def _plain_name(name: Any) -> str:
@@ -393,7 +396,8 @@ def track_from_frame(
     if altitude_unit is not None:
         check_word("altitude_unit", altitude_unit, UNITS)
     frame = frame.rename(columns=_plain_name)
-    require(not frame.empty, f"a track must have rows, got none in {name!r}")
+    names = f" below the columns {', '.join(frame.columns)[:80]}" * (frame.columns.size > 0)
+    require(not frame.empty, f"a track must have rows, got none in {name!r}{names}")
     frame = _join_date(_one_aircraft(_split_position(frame), aircraft))
     used = {quantity: _find_column(frame, names) for quantity, names in QUANTITIES.items()}
     _check_columns(frame, used)

@@ -263,6 +263,17 @@ def test_an_empty_or_unknown_file_is_refused_and_pandas_asked_for(tmp_path, monk
         ("empty.csv", "", "must have rows, got none in 'empty'"),
         ("empty.json", "[]", "must have rows, got none in 'empty'"),
         ("number.json", "1", r"number\.json .* must hold a list"),
+        (
+            "answer.csv",
+            "<p>404: not found</p>",
+            "got none in 'answer' below the columns p_404_not_fo",
+        ),
+        ("far.json", '{"flights": [{"lat": 4}]}', "must have columns for time .*, got flights"),
+        (
+            "dates.json",
+            '[{"time": {"$date": 4}}]',
+            r"`time` must be a value, got an object with \$d",
+        ),
         ("a.txt", "", r"must end in \.csv, .* got 'a\.txt'"),
     ):
         (tmp_path / name).write_text(text)
