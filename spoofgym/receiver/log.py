@@ -155,6 +155,7 @@ class InnovationLog:
             require(found == shape, f"`{name}` must have shape {shape}, got {found}")
         require(count > 1 and m > 0, f"a log needs two epochs and a channel, got {count}, {m // 2}")
         require(np.isfinite(self.time).all(), "`time` must be finite")
+        require(not np.isinf(self.innovation).any(), "`innovation` must be finite; absent is NaN")
         _check_pair(self.signals)
         back = (np.diff(self.time) <= 0.0) & (np.diff(self.segment) == 0)
         if back.any():

@@ -180,6 +180,7 @@ def test_a_log_that_would_take_the_memory_is_refused(monkeypatch):
         (lambda t: t.assign(signal="doppler_hz"), "pseudorange and range_rate, .* got doppler_hz"),
         (lambda t: pandas.concat([t, t.iloc[:1]]), "position of north is there twice at 1 s"),
         (lambda t: t.assign(time_s=np.nan), "`time` must be finite"),
+        (lambda t: t.assign(innovation=np.inf), "`innovation` must be finite; absent is NaN"),
         (lambda t: t.iloc[:0], "a log needs rows"),
     ],
 )
