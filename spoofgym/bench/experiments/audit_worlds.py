@@ -77,8 +77,8 @@ SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
 """Profiles of the letter c."""
 TRAINED = AttackFamily("shipped", "shipped spoofers that were trained against it elsewhere", "s")
 """Family of an audit alone, where there are some, and not of a task's score."""
-CACHED_PANELS = 24
-"""Panels that are held in memory, the youngest ones."""
+CACHED_PANELS, CACHED_BYTES = 24, 2e8
+"""Panels that are held in memory, and what their detectors may remember: the last ones used."""
 NEAR_ALARM = "chance-alarm"
 """Onset of which every detector has its own runs."""
 TIMED, TIMED_EPOCHS = 64, 40
@@ -177,8 +177,13 @@ class Worlds:
         # two files may have one label; a panel keeps its judges, and so their ids
         judged = tuple(id(each.judge) for each in group)
         key = compute_digest(describe({"of": overrides, "onset": onset})), judged, split, runs
-        if key not in self._panels:
-            while len(self._panels) >= CACHED_PANELS:  # families in the same world share theirs
+        if key in self._panels:  # families in the same world share theirs
+            self._panels[key] = self._panels.pop(key)
+        else:
+            while self._panels and (
+                len(self._panels) >= CACHED_PANELS
+                or sum(each.nbytes for each in self._panels.values()) > CACHED_BYTES
+            ):
                 del self._panels[next(iter(self._panels))]
             setup, judges = self.setup(**overrides), [each.judge for each in group]
             near = onset == NEAR_ALARM
