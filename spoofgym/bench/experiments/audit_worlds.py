@@ -23,7 +23,7 @@ from ...simulation.setup import Setup
 from ...simulation.simulator import weighs
 from ...tasks import CANDIDATES, AttackFamily, DetectorTask
 from ..runs.panel import NearAlarm, Panel, generators, in_any_world, select_runs
-from ..runs.play import Runs, WarmStart, play
+from ..runs.play import Runs, WarmStart, play, play_side_by_side
 from ..runs.players import (
     ATTACK,
     TUNED,
@@ -219,7 +219,8 @@ class Worlds:
         clean, setup = play(start, "none"), start.setup
         most, attack_s = spoofer_context(setup).rate_limit_mps, setup.steps * setup.interval_s
         rates = [min(part * limit / attack_s, most) for part in RAMPS]
-        ramps = [play(start, {"name": "ramp", "rate_mps": rate}) for rate in rates]
+        specs = [{"name": "ramp", "rate_mps": rate} for rate in rates]
+        ramps = [play(start, spec) for spec in specs]
         early = start.warmup_alarm
         each = [record_runs(setup, {}, early, runs, clean, limit).records for runs in ramps]
         found = {name: np.array([records[name] for records in each]) for name in each[0]}
@@ -245,7 +246,7 @@ class Worlds:
             displacement=by_age(found[MEASURES[0]]),
             threshold=by_age(threshold).mean(axis=1),
             sky=by_age(found["sky"][0])[0],
-            alike=np.array(_compare_twice(start, clean, again)),
+            alike=np.array(_compare_twice(start, clean, again, specs, ramps)),
         )
 
     def measure_cost(self, judge: Detector, ages: int) -> tuple[float, float]:
@@ -321,9 +322,19 @@ class Worlds:
         return tuple(found)
 
 
-def _compare_twice(start: WarmStart, clean: Runs, again: WarmStart) -> bool:
-    """Whether a detector says the same of the same epochs in a smaller batch."""
-    few, twin = again.receivers, play(again, "none")
-    same = np.array_equal(twin.first_alarm, clean.first_alarm[:few])
-    same &= np.array_equal(again.warmup_alarm, start.warmup_alarm[:few])
-    return bool(same and np.allclose(twin.peak, clean.peak[:few], rtol=ALIKE, equal_nan=True))
+def _compare_twice(
+    start: WarmStart, clean: Runs, again: WarmStart, specs: Sequence[Any], ramps: Sequence[Runs]
+) -> bool:
+    """Whether a detector says the same of the same epochs in a smaller batch, and of attacks on the
+    same runs side by side, as of each alone."""
+    few = again.receivers
+    which = np.repeat(np.arange(len(specs)), few)
+    beside = again.take(np.tile(np.arange(few), len(specs)))
+    (found,) = play_side_by_side(beside, specs, which)
+    same = np.array_equal(again.warmup_alarm, start.warmup_alarm[:few])
+    pairs = [(play(again, "none"), clean)]
+    pairs += [(found.take(np.flatnonzero(which == k)), each) for k, each in enumerate(ramps)]
+    for twin, whole in pairs:
+        same &= np.array_equal(twin.first_alarm, whole.first_alarm[:few])
+        same &= np.allclose(twin.peak, whole.peak[:few], rtol=ALIKE, equal_nan=True)
+    return bool(same)
