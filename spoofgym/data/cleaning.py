@@ -184,8 +184,8 @@ def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int
 class CleaningReport:
     """What cleaning found and dropped; counts are rows of the file unless said otherwise.
 
-    - `name`: name of the file or flight; `rows`: all of them; `unsorted`: those that came too late
-      in the file;
+    - `name`: name of the file or flight; `altitude`: which column is it, in which unit; `rows`: all
+      of them; `unsorted`: those that came too late in the file;
     - `incomplete`: rows without latitude, longitude or altitude;
     - `repeated`: rows that repeat the position of the row before;
     - `late`: rows whose position is not newer than the one before;
@@ -205,6 +205,7 @@ class CleaningReport:
     """
 
     name: str
+    altitude: str
     rows: int
     unsorted: int
     incomplete: int
@@ -242,7 +243,7 @@ class CleaningReport:
             f"that lasts {self.stretch_s:.0f} s",
             f"taken: {self.duration_s:.0f} s from {self.start_utc}, {self.fixes} fixes, "
             f"{self.angles} with a course",
-            "the barometric altitude is taken as height above the ellipsoid",
+            f"the altitude ({self.altitude}) is taken as height above the ellipsoid",
             *[f"{self.unsorted} rows were out of order, and are sorted by time"][: self.unsorted],
         ]
 
@@ -285,6 +286,7 @@ def clean_track(
     )
     report = CleaningReport(
         name=raw.name,
+        altitude=raw.read_as,
         **counts,
         stretch_s=float(elapsed[last] - elapsed[first]),
         start_utc=start.isoformat(),
@@ -406,20 +408,28 @@ def _airborne_stretches(
 def _explain_none(fixes: _Fixes, speed: Floats, counts: dict[str, int]) -> str:
     """Why no stretch is left: each reason that concerns half of the fixes, or else the first."""
     count, dropped = fixes.time.size, counts["interpolated"]
-    if dropped > count:
+    slow, low = ~(speed > AIRBORNE_SPEED), fixes.altitude <= 0.0
+    if dropped > count and slow.mean() < 0.5:
         return (
             f"{dropped} of {count + dropped} positions are interpolated between their neighbours; "
             "a simulated track without noise needs interpolated='keep' (--interpolated keep)"
         )
     if counts["late"] > count:
         return f"{counts['late']} rows have no later time than one before them, and another place"
-    slow, low = ~(speed > AIRBORNE_SPEED), fixes.altitude <= 0.0
     interval = np.diff(fixes.time)
     far = interval > LARGEST_GAP_S
+    moved = np.linalg.norm(np.diff(fixes.position_e, axis=0), axis=1)
+    jumps = moved > 5.0 * POSITION_SD + HIGHEST_SPEED * interval
+    pace = np.median(moved / interval) if count > 1 else 0.0
     reasons = [
         (slow, f"{slow.sum()} of {count} fixes are at {AIRBORNE_SPEED / KNOT:g} kt or slower"),
         (low, f"{low.sum()} of {count} fixes are at an altitude of 0 or below"),
         (far, f"fixes are {np.median(interval) if count > 1 else 0.0:.0f} s apart in the median"),
+        (
+            jumps,
+            f"fixes are {pace:.0f} m/s from each other in the median (are times in seconds, and "
+            "all rows of one aircraft?)",
+        ),
     ]
     found = [words for mask, words in reasons if mask.size and mask.mean() >= 0.5]
     others = (

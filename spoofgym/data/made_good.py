@@ -25,11 +25,13 @@ FEWEST = 12  # fixes that a mistake is found from
 DISTINCT = 3  # speeds or courses; fewer are a field that went stale
 STRAIGHT = 1.05  # legs over chord up to which both tell the speed
 SPEED_TOLERANCE = 0.04  # of the ratio that a mistaken unit gives; real tracks stay within 0.02
+UNLIKE = 1.3  # ratio of speeds from which on they are not of the same flight
 DRIFT = math.radians(2.0)  # lasting difference of course and track from which it is a heading [rad]
 BLOCK_S = 60.0  # time over which a difference lasts [s]
 MOST = 0.8  # share of the fixes that a mistake must explain
 HIGHEST = 25_000.0  # altitude [m]; airliners in feet taken for metres are above it
-LOWEST, LOW_SPEED = 600.0 * FOOT, 140.0  # flight level 600 taken for feet, and a speed there [m/s]
+LOWEST, LOW_SPEED = 600.0 * FOOT, 100.0  # flight level 600 taken for feet, and a speed there [m/s]
+SLOW = 30.0  # path along the fixes below which its direction says little [m/s]
 FASTEST = 195.0  # equivalent airspeed [m/s], above those of airliners (365 kt), and some wind
 MISTAKEN_SPEEDS = {
     f"in {true}, and taken as {taken}": FACTORS[true_key] / FACTORS[taken_key]
@@ -99,6 +101,11 @@ def find_mistaken_speed(
     for words, factor in [*MISTAKEN_SPEEDS.items()][: 3 if stale else None]:
         if abs(middle / factor - 1.0) < SPEED_TOLERANCE and same.mean() > MOST:
             return f"groundspeeds seem to be {words}: the positions move {middle:.2f} times as fast"
+    if not stale and same.mean() > MOST and not 1.0 / UNLIKE < middle < UNLIKE:
+        return (
+            f"the positions move {middle:.3g} times as fast as the groundspeeds say: are these, or "
+            "the times, in another unit?"
+        )
     return None
 
 
@@ -135,6 +142,9 @@ def find_mistaken_course(
         agree = known.sum() >= FEWEST and (off[known] < COURSE_TOLERANCE).mean() > MOST
         if agree and np.median(off[known]) < 0.5 * middle:
             return f"{words}: the courses contradict the positions as they are, and agree then"
+    agree, pace = int((now < COURSE_TOLERANCE).sum()), float(np.nanmedian(made.path_speed))
+    if agree < (1.0 - MOST) * now.size and SLOW < pace < 2.0 * FASTEST:  # else times are wrong
+        return f"courses agree with the positions at {agree} of {now.size} fixes: what are they?"
     return _find_drift(time, resolved, made) if middle < math.pi else None
 
 
@@ -173,17 +183,28 @@ def find_mistaken_altitude(
     climbs = (np.abs(mean) > 2.5) & (span < 60.0)
     if climbs.sum() >= FEWEST:
         made = ((altitude[later] - altitude) / span)[climbs]
-        ratio = float(np.median(made / mean[climbs]))
+        ratios = made / mean[climbs]
+        ratio = float(np.median(ratios))
         for words, factor in ((feet, 1.0 / FOOT), (metres, FOOT), (levels, FOOT / LEVEL)):
             if abs(ratio / factor - 1.0) < 0.2:
                 return f"{words}: they change {ratio:.2f} times as fast as the climb rate says"
+        alike = np.abs(ratios - ratio) < 0.5 * abs(ratio)
+        if alike.mean() > MOST and not 0.5 < ratio < 2.0:
+            return (
+                f"altitudes change {ratio:.3g} times as fast as the climb rate says: is one of "
+                "them in another unit (--altitude-unit)?"
+            )
     if (high := float(np.median(altitude))) > HIGHEST:
         return f"{feet}: half of them are above {high:.0f} m"
     if high < LOWEST and (quick := float(np.nanmedian(speed))) > LOW_SPEED:
         return f"{levels}: at {high:.0f} m, {quick:.0f} m/s are too fast"
-    thinner = np.clip(1.0 - 2.25577e-5 * altitude, 0.75, 1.0) ** (0.5 * 4.2559)  # ICAO, to 11 km
-    if (fast := float(np.nanmedian(speed * thinner))) > FASTEST:
-        return f"{metres}: at {high:.0f} m, {fast:.0f} m/s of equivalent airspeed are too fast"
+    fast, then = (
+        float(np.nanmedian(speed * np.clip(1.0 - 2.25577e-5 * h, 0.75, 1.0) ** (0.5 * 4.2559)))
+        for h in (altitude, altitude / FOOT)
+    )  # equivalent airspeeds, ICAO, to 11 km
+    if fast > FASTEST:
+        cause = metres if then < FASTEST else "times seem not to be in seconds"
+        return f"{cause}: at {high:.0f} m, {fast:.0f} m/s of equivalent airspeed are too fast"
     return None
 
 

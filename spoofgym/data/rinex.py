@@ -57,7 +57,8 @@ def _compute_signed_range(bits: int, exponent: int, unit: float = 1.0) -> tuple[
 
 
 # Valid values of the fields: what the bits of the message hold, or its narrower effective range
-# (IS-GPS-200, tables 20-I and 20-III); angles of one turn either way, since writers differ.
+# (IS-GPS-200, tables 20-I and 20-III); angles of one turn either way, since writers differ. The
+# inclination is that of the orbits flown, some 0.96: in semicircles it would be 0.3.
 RANGES = {
     **dict(clock_bias=_compute_signed_range(22, -31), clock_drift=_compute_signed_range(16, -43)),
     **dict(
@@ -66,7 +67,7 @@ RANGES = {
     **dict(health=(0.0, 63.0), issue=(0.0, 255.0), second_of_week=(0.0, SECONDS_PER_WEEK)),
     **dict(root_semi_major_axis=(2530.0, 8192.0), eccentricity=(0.0, 0.03)),
     **dict.fromkeys(("mean_anomaly", "perigee", "node"), (-2.0 * math.pi, 2.0 * math.pi)),
-    **dict(inclination=(0.0, math.pi), inclination_rate=_compute_signed_range(14, -43, math.pi)),
+    **dict(inclination=(0.7, 1.2), inclination_rate=_compute_signed_range(14, -43, math.pi)),
     **dict(
         node_rate=_compute_signed_range(24, -43, math.pi),
         mean_motion_correction=_compute_signed_range(16, -43, math.pi),
@@ -121,16 +122,16 @@ def read_navigation(path: str | os.PathLike[str], systems: str = "G") -> Ephemer
     version = check_version(lines[0] if lines else "", path, (2, 3, 4))
     if not (kind := lines[0][20:40].strip()).startswith("N"):
         raise FileError(f"{path} is not a navigation file of GPS (N), got type {kind!r}")
+    others: Counter[str] = Counter()
     if version == 4:
-        version, lines = 3, _blank_other_frames(lines)
+        version, lines = 3, _blank_other_frames(lines, others)
     wanted = "GPS" if systems == "G" else " ".join(systems)
     satellites: list[str] = []
     records: list[dict[str, float]] = []
-    others: Counter[str] = Counter()
     malformed, first = 0, ""
     for number, block in _blocks(lines, path):
         system = block[0][0] if version == 3 else "G"
-        if system not in systems or block[0][:3] in GEOSTATIONARY:
+        if (system != " " and system not in systems) or block[0][:3] in GEOSTATIONARY:
             others[system] += 1
             continue
         try:
@@ -142,12 +143,12 @@ def read_navigation(path: str | os.PathLike[str], systems: str = "G") -> Ephemer
         records.append(record)
     if others:
         ignored = ", ".join(f"{system} {count}" for system, count in sorted(others.items()))
-        _LOGGER.info("%s: records of other constellations ignored: %s", path, ignored)
+        _LOGGER.info("%s: records of other constellations or messages: %s", path, ignored)
     if not records:
         raise FileError(
             f"{path} holds no usable {wanted} satellite: {malformed} malformed {wanted} records"
             f"{first and f' (the first at {first})'}, "
-            f"{sum(others.values())} records of other constellations"
+            f"{sum(others.values())} records of other constellations or messages"
         )
     if malformed:
         warnings.warn(
@@ -202,14 +203,16 @@ def check_version(line: str, path: Path, valid: tuple[int, ...]) -> int:
     return version
 
 
-def _blank_other_frames(lines: list[str]) -> list[str]:
+def _blank_other_frames(lines: list[str], others: Counter[str]) -> list[str]:
     """A version 4 file as one of version 3: blank where there are titles, and frames other than
-    orbits, or orbits of GPS of another message than the legacy one."""
+    orbits, or orbits of GPS of another message than the legacy one, which are counted."""
     blanked, used = list[str](), True
     for line in lines:
         if is_title := line.startswith(">"):
             kind, satellite, message = (line[1:].split() + [""] * 3)[:3]
             used = kind == "EPH" and (satellite[:1] != "G" or message == "LNAV")
+            if kind == "EPH" and not used:
+                others[message] += 1
         blanked.append(line if used and not is_title else "")
     return blanked
 
@@ -220,7 +223,7 @@ def _blocks(lines: list[str], path: Path) -> Iterator[tuple[int, list[str]]]:
     end = next((k for k, line in enumerate(lines) if line[60:].strip() == "END OF HEADER"), None)
     if end is None:
         raise FileError(f"{path} is cut short: its header has no end")
-    number, block = 0, list[str]()
+    number, block = end + 2, list[str]()
     for k, line in enumerate(lines[end + 1 :], start=end + 2):
         if not line.strip() or HEADED.match(line):
             continue
@@ -237,9 +240,11 @@ def _parse(block: list[str], layout: _Layout, system: str) -> tuple[str, dict[st
     require(
         len(block) == LINES_PER_RECORD, f"a record has {LINES_PER_RECORD} lines, got {len(block)}"
     )
-    number = int(block[0][layout.satellite])
+    text = block[0][layout.satellite].strip()
+    require(system != " ", "a record must begin with the letter of its system, got ' '")
     require(
-        1 <= number <= LAST_SATELLITE, f"the satellite must be 1 to {LAST_SATELLITE}, got {number}"
+        text.isdigit() and 1 <= int(text) <= LAST_SATELLITE,
+        f"the satellite must be 1 to {LAST_SATELLITE}, got {text!r}",
     )
     record = {
         name: _number(block[line], layout.first_column + FIELD_WIDTH * column, name)
@@ -262,7 +267,7 @@ def _parse(block: list[str], layout: _Layout, system: str) -> tuple[str, dict[st
         )
     record["time_of_clock"] = time_of_clock + BEIDOU_LAG * (system == "C")
     record["time_of_ephemeris"] = record["time_of_clock"] + lead
-    return f"{system}{number:02d}", record
+    return f"{system}{int(text):02d}", record
 
 
 def _number(line: str, column: int, name: str) -> float:
@@ -279,13 +284,16 @@ def _number(line: str, column: int, name: str) -> float:
 
 def parse_date(parts: list[str]) -> datetime:
     """Date from its parts; years of two digits are those of 1980 to 2079."""
-    year, month, day, hour, minute = map(int, parts[:5])
-    second = float(parts[5])
-    if 0 <= year < 100:
-        year += 1900 if year >= 80 else 2000
-    require(
-        year <= LAST_YEAR and 0 <= hour <= 24 and 0 <= minute <= 60 and 0.0 <= second <= 60.0,
+    with suppress(ValueError):
+        year, month, day, hour, minute = map(int, parts[:5])
+        second = float(parts[5])
+        if 0 <= year < 100:
+            year += 1900 if year >= 80 else 2000
+        if year <= LAST_YEAR and 0 <= hour <= 24 and 0 <= minute <= 60 and 0.0 <= second <= 60.0:
+            return datetime(year, month, day) + timedelta(
+                hours=hour, minutes=minute, seconds=second
+            )
+    raise ValueError(
         f"the epoch must be a date up to the year {LAST_YEAR}, with at most 24 hours, 60 minutes "
-        f"and 60 seconds, got {' '.join(parts)!r}",
+        f"and 60 seconds, got {' '.join(parts)!r}"
     )
-    return datetime(year, month, day) + timedelta(hours=hour, minutes=minute, seconds=second)

@@ -41,20 +41,23 @@ FACTORS = {  # of the units that may end a column's name, in m, m/s and deg
 TIME = (
     *("timestamp", "time", "datetime", "utc", "timestamp_utc", "time_utc", "now", "ts", "snapshot"),
     *("snapshottime", "date_time", "unixtime", "epoch", "last_contact", "lastcontact"),
-    *("snapshot_id", "postime"),
+    *("snapshot_id", "postime", "unix_time", "utc_time"),
 )
+TIME_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 REQUIRED = ("latitude", "longitude", "altitude")
 POSITION_TIME = ("last_position", "lastposupdate", "position_time", "time_position")
 AIRCRAFT = (
     "icao24",
     "hex",
     "icao",
+    "icao_address",
     "aircraft",
     "fr24_id",
     "fa_flight_id",
     "flight_id",
     "callsign",
     "flight",
+    "registration",
 )
 QUANTITIES: dict[str, dict[str, float]] = {
     "latitude": dict.fromkeys(("latitude", "lat"), 1.0),
@@ -62,12 +65,14 @@ QUANTITIES: dict[str, dict[str, float]] = {
     "altitude": {
         **dict.fromkeys(("altitude", "alt_baro", "altitude_baro", "alt"), FOOT),
         **dict.fromkeys(("height", "baro_altitude", "baroaltitude"), 1.0),
-        **dict.fromkeys(("geo_altitude", "geoaltitude"), 1.0),
-        **dict.fromkeys(("alt_geom", "alt_gnss"), FOOT),
+        **dict.fromkeys(("geo_altitude", "geoaltitude", "ele", "elevation"), 1.0),
+        **dict.fromkeys(("alt_geom", "alt_gnss", "feet"), FOOT),
         "flight_level": LEVEL,
     },
     "groundspeed": {
-        **dict.fromkeys(("groundspeed", "ground_speed", "gs", "gspeed", "speed", "spd"), KNOT),
+        **dict.fromkeys(
+            ("groundspeed", "ground_speed", "gs", "gspeed", "speed", "spd", "kts"), KNOT
+        ),
         "velocity": 1.0,
     },
     "track": dict.fromkeys(
@@ -86,7 +91,10 @@ QUANTITIES: dict[str, dict[str, float]] = {
     ),
     "vertical_rate": {
         **dict.fromkeys(
-            ("vertical_rate", "baro_rate", "vspeed", "verticalspeed", "vert_speed", "vsi"),
+            (
+                *("vertical_rate", "verticalrate", "baro_rate", "vspeed", "verticalspeed"),
+                *("vert_speed", "vsi"),
+            ),
             FOOT / 60.0,
         ),
         "vertrate": 1.0,
@@ -147,7 +155,8 @@ class RawTrack:
     - `groundspeed`, `vertical_rate` (n,) over ground and upwards [m/s], NaN where missing;
     - `track_deg` (n,) course over ground as recorded [deg], NaN where missing;
     - `unsorted`: rows that were earlier than one before them in the file;
-    - `unit_by_name`: whether the altitude's unit is a guess by the column's name.
+    - `unit_by_name`: whether the altitude's unit is a guess by the column's name;
+    - `read_as`: this name and unit, in words.
     """
 
     name: str
@@ -161,6 +170,7 @@ class RawTrack:
     track_deg: NDArray[np.float64]
     unsorted: int = 0
     unit_by_name: bool = True
+    read_as: str = ""
 
 
 def read_track(
@@ -179,7 +189,7 @@ def read_track(
             "reading tracks needs pandas and pyarrow: pip install 'spoofgym[flights]', or "
             "'.[flights]' in a checkout"
         )
-    kind = path.name.removesuffix(".gz").rsplit(".", 1)[-1].lower()
+    kind = path.name.lower().removesuffix(".gz").rsplit(".", 1)[-1]
     require(
         kind in {"csv", "json", "jsonl", "ndjson", "parquet", "pq"},
         f"`path` must end in .csv, .json, .jsonl or .parquet, got {path.name!r}",
@@ -236,32 +246,39 @@ def _is_of_track(name: str) -> bool:
     """Whether a column may be one of a track, with a unit or without."""
     plain = _plain_name(name)
     return plain in COLUMNS or any(
-        plain == f"{each}_{unit}" for each in COLUMNS for unit in FACTORS
+        plain == f"{each}_{unit}" for each in COLUMNS for unit in (*FACTORS, *TIME_UNITS)
     )
 
 
 def _decode(content: bytes) -> str:
     wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
     with suppress(UnicodeDecodeError):
-        return content.decode("utf-16" if wide else "utf-8-sig")
+        text = content.decode("utf-16" if wide else "utf-8-sig")
+        require("\0" not in text, "it is no text")
+        return text
     require(not re.search(rb"[\0-\x08\x0e-\x1f]", content), "it is no text")
     return content.decode("latin-1")  # of spreadsheets
 
 
 def _read_csv(content: bytes) -> pandas.DataFrame:
     """Columns apart by commas, semicolons, tabs or bars; with others than commas, there may be
-    commas for points. Names of aircraft stay text: 4e5432 is no number."""
+    commas for points. Names of aircraft stay text: 4e5432 is no number. Lines before the head, and
+    heads of files put behind, are left out."""
     import pandas
 
     text = _decode(content).replace("\r\n", "\n").replace("\r", "\n")
-    if text.startswith("MSG,"):
+    text = re.sub(r"\A([ \t]*\n|#[^,;\t|\n]*\n|sep=.\n)+", "", text)
+    if re.match(r"(MSG|SEL|ID|AIR|STA|CLK),", text):
         text = f"{','.join(BASE_STATION)}\n{text}"
-    head = next((line for line in text.splitlines() if line.strip()), "")
+    head = text.partition("\n")[0]
     if not head:
         return pandas.DataFrame()
+    text = text.replace(f"\n{head}\n", "\n")
     apart = max(",;\t|", key=head.count)
-    rows = csv.reader(StringIO(text.lstrip()), delimiter=apart, skipinitialspace=True)
-    check_table(text.count("\n") + 1, max(map(len, islice(filter(None, rows), 2)), default=0))
+    rows = csv.reader(StringIO(text), delimiter=apart, skipinitialspace=True)
+    seen = list(islice(filter(None, rows), 2))
+    check_table(text.count("\n") + 1, max(map(len, seen), default=0))
+    more = seen[-1][len(seen[0]) :]  # blank where lines end with what is between values
     names = pandas.read_csv(StringIO(text), sep=apart, nrows=0).columns
     kinds = {name: str for name in names if _plain_name(name) in AIRCRAFT}
     commas = apart != "," and re.search(rf"(^|[{apart}\n])\s*-?\d+,\d+\s*([{apart}\n]|$)", text)
@@ -270,6 +287,7 @@ def _read_csv(content: bytes) -> pandas.DataFrame:
         StringIO(text), sep=apart, dtype=kinds, decimal="," if commas else ".",
         thousands="." if commas and not points else None,
         skipinitialspace=True, low_memory=False, na_values=["-", "--"],
+        index_col=False if more and not any(more) else None,
     )  # fmt: skip
 
 
@@ -379,7 +397,7 @@ def track_from_frame(
     frame = _join_date(_one_aircraft(_split_position(frame), aircraft))
     used = {quantity: _find_column(frame, names) for quantity, names in QUANTITIES.items()}
     _check_columns(frame, used)
-    time = _seconds(frame, TIME)
+    time = _join_periods(_seconds(frame, TIME))
     position_time = _seconds(frame, POSITION_TIME)
     position_time[position_time == 0.0] = np.nan  # never heard
     _check_times(time)
@@ -387,6 +405,8 @@ def track_from_frame(
     _check_range("position time", position_time, *TIMES, "s")
     if altitude_unit is not None:
         used["altitude"] = (used["altitude"] or ("",))[0], UNITS[altitude_unit]
+    column, factor = used["altitude"] or ("", FOOT)
+    unit = next((unit for unit, size in UNITS.items() if size == factor), f"{factor:g} m")
     columns = {quantity: _numbers(frame, column) for quantity, column in used.items()}
     for quantity, valid in RANGES.items():
         _check_range(quantity, columns[quantity], *valid)
@@ -406,6 +426,7 @@ def track_from_frame(
         track,
         unsorted=int((time < np.maximum.accumulate(time)).sum()),
         unit_by_name=altitude_unit is None,
+        read_as=f"`{column}`, read in {unit}",
     )
 
 
@@ -465,7 +486,7 @@ def _check_columns(frame: pandas.DataFrame, used: Mapping[str, tuple[str, float]
         raise ValueError(f"a track must have each column once, got {twice[0]!r} twice")
     wanted = {"time": TIME, **{key: (*QUANTITIES[key],) for key in REQUIRED}}
     there = {key for key, column in used.items() if column}
-    there |= {"time" for name in TIME if name in frame}
+    there |= {"time" for name in _list_times(TIME) if name in frame}
     if missing := [f"{key} ({', '.join(x)})" for key, x in wanted.items() if key not in there]:
         raise ValueError(
             f"a track must have columns for {'; '.join(missing)}, got "
@@ -506,12 +527,19 @@ def _say_first(column: Any, *parsers: Any) -> str:
     return f", got {str(column.iloc[k])[:40]!r} in row {k + 1}" if bad.any() else ""
 
 
+def _list_times(names: tuple[str, ...]) -> dict[str, float]:
+    """Names of columns of times, each with its unit [s]; 0 where the name has none."""
+    ended = {f"{name}_{unit}": size for name in names for unit, size in TIME_UNITS.items()}
+    return dict.fromkeys(names, 0.0) | ended
+
+
 def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.float64]:
-    """Times since 1970-01-01 UTC [s]; NaN without a column. Numbers are distinguished by their
-    size: nanoseconds, microseconds, milliseconds or seconds."""
+    """Times since 1970-01-01 UTC [s]; NaN without a column. Numbers whose column names no unit are
+    distinguished by their size: nanoseconds, microseconds, milliseconds or seconds."""
     import pandas
 
-    name = next((name for name in names if name in frame), None)
+    units = _list_times(names)
+    name = next((name for name in units if name in frame), None)
     if name is None:
         return np.full(len(frame), math.nan)
     column: Any = frame[name]
@@ -527,6 +555,14 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
                     f"`{name}` must hold seconds since 1970 or ISO 8601 times, got {low:.6f}, "
                     "which looks like days of a spreadsheet or of MATLAB"
                 )
+            of_minute = np.unique(values[np.isfinite(values)] % 100.0)
+            if of_minute.size > 5 and of_minute.max() < 60.0 and high - low > 200.0:
+                raise ValueError(
+                    f"`{name}` must hold seconds since 1970 or ISO 8601 times, got {low:.15g}, "
+                    "which looks like hours, minutes and seconds in one number"
+                )
+            if units[name]:
+                return values * units[name]
             size = float(np.nanmax(np.abs(values), initial=0.0))
             per_second = 1e9 if size > 1e17 else 1e6 if size > 1e14 else 1e3 if size > 1e11 else 1.0
             return values / per_second
@@ -538,6 +574,14 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
         raise ValueError(f"`{name}` must hold numbers or ISO 8601 times{first}") from error
     epoch = pandas.Timestamp(0, tz="UTC")
     return np.asarray((moments - epoch).dt.total_seconds().to_numpy(np.float64))
+
+
+def _join_periods(time: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Seconds of a day, or of a week, that count on where they begin again."""
+    for period in (86_400.0, 604_800.0):
+        again = np.abs(np.diff(time, prepend=time[:1]) + period) < 30.0
+        time = time + period * np.cumsum(again)
+    return time
 
 
 def _check_times(time: NDArray[np.float64]) -> None:

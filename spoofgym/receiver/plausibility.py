@@ -38,18 +38,23 @@ RECEIVER_RADII = 6.3e6, 5e7  # distances from the Earth's centre [m]
 SATELLITE_RADII = 6.5e6, 1e8
 OPAQUE_RADIUS = 6.33e6  # a signal passes no nearer to the Earth's centre, refraction included [m]
 FASTEST = 12_000.0  # of any receiver or satellite [m/s]
-LARGEST_FORCE, LARGEST_MEDIAN = 1e6, 1e3  # that any sensor survives, or feels for long [m/s^2]
+LARGEST_FORCE, LARGEST_MEDIAN = 5e3, 5e2  # that any sensor survives, or feels for long [m/s^2]
 FREE_FALL_RADIUS = 6.478e6  # from the Earth's centre, below which nothing falls freely at first [m]
 RANGE_SPREAD, SPREAD_RATE = 1e6, 8_000.0  # of what geometry leaves of ranges [m], its growth [m/s]
 MEASURED_RANGES = 1e7, 1e8  # of satellites, the receiver's clock included [m]
 SLOWEST_RANGE = 50.0  # of which a rate tells its unit and its sign [m/s]
 ALIKE = 20.0  # of a satellite's velocity and of how it moves [m/s]
+PULLED = 0.2  # of an orbit's acceleration, of which the axes' rotation makes 0.5 [m/s^2]
+SLOPE = 0.3  # by which ranges may grow otherwise than by their rates, as a part
+HELD = 0.1  # of velocities, by which positions move that are held
 SMALLEST_SD = 1e-4  # of a range [m] or a range rate [m/s], below those of carrier phases
 CLOCK_STEP = 1e-3 * SPEED_OF_LIGHT  # that receivers put their clocks right by [m]
 UNITS = {
     "km": 1e3,
     "s": SPEED_OF_LIGHT,
     "ms": CLOCK_STEP,
+    "us": 1e-6 * SPEED_OF_LIGHT,
+    "ns": 1e-9 * SPEED_OF_LIGHT,
     "feet": 0.3048,
     "cycles of L1": SPEED_OF_LIGHT / 1575.42e6,
 }
@@ -152,10 +157,15 @@ def _check_motion(recording: PositionRecording, initial: NavState) -> None:
         "are its axes east, north and up": lambda v: v[:, [1, 0, 2]] * [1, 1, -1] @ axes.T,
         "is it in km/h": lambda v: v / 3.6,
         "is it in knots": lambda v: v * 1852.0 / 3600.0,
+        "is it in mph": lambda v: v * 0.44704,
+        "is it in ft/s": lambda v: v * 0.3048,
     }
     found, cause = misfit(lambda v: v), min(causes, key=lambda x: misfit(causes[x]))
     likely = misfit(causes[cause]) < LIKELY * found
     if found > (MOVED_BADLY if likely else MOVED_OFTEN):
+        sizes = (float(np.median(np.linalg.norm(x[fast], axis=1))) for x in (moved, mean))
+        if next(sizes) < HELD * next(sizes):
+            cause = "are positions held from one solution to the next, or which unit has it"
         raise ValueError(
             "`velocity_e` must be in ECEF axes and m/s, but positions move differently, by "
             f"{100.0 * found:.0f} % of it in the median "
@@ -204,10 +214,6 @@ def _check_start(initial: NavState) -> None:
 def _check_force(recording: AnyRecording, initial: NavState) -> None:
     """Unit and direction of the specific force: on average it holds against gravity."""
     force = np.asarray(recording.specific_force_b)
-    require(
-        np.abs(force).max() < LARGEST_FORCE,
-        f"`specific_force_b` must be below {LARGEST_FORCE:g} m/s^2, got {np.abs(force).max():g}",
-    )
     size = float(np.median(np.linalg.norm(force, axis=1)))
     require(
         not 0.8 < size < 1.25,
@@ -220,6 +226,11 @@ def _check_force(recording: AnyRecording, initial: NavState) -> None:
         size < LARGEST_MEDIAN and not (low and least < 0.05 * STANDARD_GRAVITY),
         f"`specific_force_b` must be in m/s^2, 9.8 upwards at rest, got {least:.3g} in the first "
         f"second and a median of {size:.3g} (is it in mg, or was it turned into m/s^2 twice?)",
+    )
+    require(
+        np.abs(force).max() < LARGEST_FORCE,
+        f"`specific_force_b` must be below {LARGEST_FORCE:g} m/s^2, got {np.abs(force).max():g} "
+        "(which unit has it, or is it the mark of an absent sample?)",
     )
     up = np.asarray(initial.position_e) / np.linalg.norm(initial.position_e)
 
@@ -302,29 +313,68 @@ def _check_satellites(recording: Recording, visible: Bools) -> None:
             f"{SATELLITE_RADII[1]:g} from the Earth's centre, got {radius[k, j]:g} in channel {j} "
             f"at {_time(recording, k)}{cause}"
         )
+    _check_orbits(recording, visible)
+
+
+def _check_orbits(recording: Recording, visible: Bools) -> None:
+    """Satellites move with their velocities, and as orbits do."""
+    s, v = (np.asarray(getattr(recording, f"satellite_{x}_e")) for x in ("position", "velocity"))
     rows, step, pairs = _pair_epochs(recording, visible)
     if pairs.sum() < FEW_PAIRS:
         return
-    middle = 0.5 * (v[rows][1:] + v[rows][:-1])
-    moved = np.where(pairs[..., None], np.diff(s[rows], axis=0) / step[..., None], np.nan)
+    middle, place = (0.5 * (x[rows][1:] + x[rows][:-1]) for x in (v, s))
+    moved, gained = (
+        np.where(pairs[..., None], np.diff(x[rows], axis=0) / step[..., None], np.nan)
+        for x in (s, v)
+    )
 
     def misfit(velocity: Floats) -> float:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # a channel without a pair
-            off = np.linalg.norm(np.nanmedian(moved - velocity, axis=0), axis=-1)
-            return float(np.nanmedian(off))
+        return _take_median(moved - velocity)
 
     if (found := misfit(middle)) > ALIKE:
-        turned = np.cross([0.0, 0.0, EARTH_RATE], 0.5 * (s[rows][1:] + s[rows][:-1]))
+        turned = np.cross([0.0, 0.0, EARTH_RATE], place)
+        with np.errstate(divide="ignore", invalid="ignore"):  # a satellite at rest
+            sizes = np.linalg.norm(moved, axis=-1) / np.linalg.norm(middle, axis=-1)
+        scale = float(np.nan_to_num(np.nanmedian(sizes), posinf=0.0))
         cause = "do they belong together"
         if misfit(1e3 * middle) < ALIKE:
             cause = "is it in km/s"
         elif misfit(middle - turned) < ALIKE:
             cause = "is it with respect to inertial axes"
+        elif misfit(scale * middle) < ALIKE * max(scale, 1.0):
+            cause = "is it, or are the times, in another unit"
         raise ValueError(
             "`satellite_velocity_e` must be ECEF in m/s, but `satellite_position_e` moves "
             f"differently, by {found:.3g} m/s in the median ({cause}?)"
         )
+    _check_axes(place, middle, gained)
+
+
+def _check_axes(s: Floats, v: Floats, gained: Floats) -> None:
+    """Raise where satellites (K, n, 3) gain velocity as in other axes."""
+    flipped = np.array([1.0, -1.0, 1.0])
+    causes: dict[str, tuple[Floats, float]] = {
+        "": (np.ones(3), EARTH_RATE),
+        "is an axis flipped, or are two swapped": (flipped, EARTH_RATE),
+        "are they in inertial axes": (np.ones(3), 0.0),
+    }
+    off = {
+        cause: _take_median(gained * axes - _accelerate(s * axes, v * axes, rate))
+        for cause, (axes, rate) in causes.items()
+    }
+    cause = min(off, key=off.__getitem__)
+    if off[""] > PULLED and off[cause] < LIKELY * off[""]:
+        raise ValueError(
+            "`satellite_position_e` and `satellite_velocity_e` must be in ECEF axes, but do not "
+            f"move there as orbits do, by {off['']:.2g} m/s^2 in the median ({cause}?)"
+        )
+
+
+def _take_median(off: Floats) -> float:
+    """Of the sizes of the medians of channels (K, n, 3), of which some have no pair."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return float(np.nanmedian(np.linalg.norm(np.nanmedian(off, axis=0), axis=-1)))
 
 
 def _pair_epochs(recording: Recording, visible: Bools) -> tuple[NDArray[np.intp], Floats, Bools]:
@@ -368,9 +418,9 @@ def _check_ranges(recording: Recording, initial: NavState, visible: Bools) -> No
     for row, j in np.argwhere(found > allowed)[:1]:
         k = rows[row]
         cause = "do ranges, satellites and their times belong together"
-        for unit, factor in UNITS.items():
-            if np.nanmax(spread(factor)[row]) < RANGE_SPREAD:
-                cause = f"are they in {unit}"
+        unit = min(UNITS, key=lambda x: float(np.nanmax(spread(UNITS[x])[row])))
+        if np.nanmax(spread(UNITS[unit])[row]) < RANGE_SPREAD:
+            cause = f"are they in {unit}"
         if np.nanmedian(found[row]) < RANGE_SPREAD and not (
             MEASURED_RANGES[0] < ranges[k, j] < MEASURED_RANGES[1]
         ):
@@ -401,17 +451,17 @@ def _check_rates(recording: Recording, visible: Bools) -> None:
         ratio = (change / step)[fast] / mean[fast]
     slope = float(np.median(ratio))
     scatter = 1.5 * float(np.median(np.abs(ratio - slope))) / np.sqrt(ratio.size)
-    if abs(slope - 1.0) > max(0.5, 5.0 * scatter):
+    if abs(slope - 1.0) > max(SLOPE, 5.0 * scatter):
         cause = "which unit has it"
         if abs(slope + 1.0) < 0.3:
             cause = "is it Doppler's sign, positive where the satellite comes nearer"
-        elif 0.15 < -slope < 0.3:
+        elif 0.15 < abs(slope) < 0.26:
             cause = "is it a Doppler shift in Hz"
         elif 900.0 < slope < 1100.0:
             cause = "is it in km/s"
-        for unit, factor in UNITS.items():
-            if 0.9 < slope * factor < 1.1:
-                cause = f"are they in {unit}"
+        unit = min(UNITS, key=lambda x: abs(slope * UNITS[x] - 1.0))
+        if abs(slope * UNITS[unit] - 1.0) < 0.1:
+            cause = f"are they in {unit}"
         raise ValueError(
             "`range_rate` must be the rate at which the pseudorange grows, in m/s, but the "
             f"pseudoranges grow by {slope:.3g} times as much ({cause}?)"
@@ -452,15 +502,21 @@ def flag_epochs(misfit: Floats) -> NDArray[np.str_]:
 
 def _shift(position: Floats, velocity: Floats, elapsed: Any) -> tuple[Floats, Floats]:
     """Satellites (..., 3) a little later on their orbits; `elapsed` (...) or a number [s]."""
-    s, v, turn = position, velocity, np.array([0.0, 0.0, EARTH_RATE])
+    s, v = position, velocity
     steps = max(1, int(np.ceil(np.nanmax(np.abs(elapsed)) / SHIFT_S)))
     t = np.asarray(elapsed)[..., None] / steps
     for _ in range(steps):
-        with np.errstate(invalid="ignore"):  # where none is
-            pull = -GRAVITATIONAL_CONSTANT * s / np.linalg.norm(s, axis=-1, keepdims=True) ** 3
-        acceleration = pull - 2.0 * np.cross(turn, v) - np.cross(turn, np.cross(turn, s))
+        acceleration = _accelerate(s, v, EARTH_RATE)
         s, v = s + v * t + 0.5 * acceleration * t * t, v + acceleration * t
     return s, v
+
+
+def _accelerate(s: Floats, v: Floats, rate: float) -> Floats:
+    """Acceleration (..., 3) of satellites in axes that turn at a rate about the third one."""
+    turn = np.array([0.0, 0.0, rate])
+    with np.errstate(invalid="ignore"):  # where none is
+        pull = -GRAVITATIONAL_CONSTANT * s / np.linalg.norm(s, axis=-1, keepdims=True) ** 3
+    return np.asarray(pull - 2.0 * np.cross(turn, v) - np.cross(turn, np.cross(turn, s)))
 
 
 def _fit_elapsed(

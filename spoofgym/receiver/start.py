@@ -72,6 +72,7 @@ def find_start(
             continue
         else:
             felt = specific_force_b[abs(imu_time - now) <= within_s].mean(axis=0)
+            require(felt.any(), "`specific_force_b` is 0 there, which says nothing of the attitude")
             local = join_axes(change - gravity(*position), velocity)
             C_eb = local @ join_axes(felt, np.array([1.0, 0.0, 0.0])).T
         return int(row), NavState(

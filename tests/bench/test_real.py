@@ -36,7 +36,7 @@ def test_ten_minutes_of_the_flight_under_the_satellites_of_the_day(real):
     for part in (
         "1210 interpolated positions",
         "920 of them modulo 256",
-        "the barometric altitude is taken as height above the ellipsoid",
+        "the altitude (`altitude`, read in ft) is taken as height above the ellipsoid",
         "distance of the fixes: RMS",
         "26 marked unhealthy and not used",
         "mapped to another day: flown 2018-01-12 12:00:40 UTC, simulated 2012-10-31 12:00:40 UTC",

@@ -44,6 +44,13 @@ MISTAKES = {
     "south": (lambda t: t.assign(latitude=-t.latitude), "latitudes have lost their sign"),
     "west": (lambda t: t.assign(longitude=-t.longitude), "longitudes have lost their sign"),
     "radians": (lambda t: t.assign(track=np.radians(t.track)), "courses are in radians"),
+    "times": (
+        lambda t: t.assign(timestamp=1.7e9 + 1.5 * (t.timestamp - 1.7e9)),
+        r"the positions move 0\.6[67]\d* times as fast .* are these, or the times, in",
+    ),
+    "ft/s": (lambda t: t.assign(groundspeed=t.groundspeed * KNOT / FOOT), r"move 0\.59\d* times"),
+    "courses": (lambda t: t.assign(track=7.0 * t.track % 360.0), "courses agree .* at [0-9]* of"),
+    "km": (lambda t: t.assign(altitude=t.altitude * FOOT / 1e3), r"change 0\.000\d+ times as fast"),
     "metres": (lambda t: t.assign(altitude=t.altitude * FOOT), METRES),
     "feet": (lambda t: t.rename(columns={"altitude": "baro_altitude"}), "in feet, and taken as me"),
 }

@@ -197,7 +197,15 @@ def test_joined_files_comments_marks_and_padding_lose_no_record(written, tmp_pat
         ("0.965000000000D+00", "               nan", "must be finite, got"),
         (" 0.0-0.15", "1e99-0.15", "line 13: the epoch must be a date up to the year 2099"),
         (" 5 24  9 14", " 5 24  9 13", "line 13: .* within 6 h of the epoch, got 24 h"),
-        (" 5 24", "-5 24", "line 13: the satellite must be 1 to 63, got -5"),
+        (" 5 24", "-5 24", "line 13: the satellite must be 1 to 63, got '-5'"),
+        (" 5 24", "G5 24", "line 13: the satellite must be 1 to 63, got 'G5'"),
+        (
+            "24  9 14",
+            "24 x9 14",
+            "line 13: the epoch must be a date up to the year 2099, .* got '24 x",
+        ),
+        ("24  9 14", "24 13 14", "line 13: the epoch must be a date .* got '24 13 14 22"),
+        ("0.965000000000D+00", "0.307000000000D+00", r"`inclination` .* 0\.7 to 1\.2, got 0\.307"),
     ],
 )
 def test_malformed_records_are_left_out_with_a_warning(written, old, new, said):
@@ -217,6 +225,12 @@ def test_malformed_records_are_left_out_with_a_warning(written, old, new, said):
         (HEADER_2[: HEADER_2.index("        END")] + "\n" + G05, "header has no end"),
         (HEADER_2 + G05[:99], r"1 malformed GPS records \(the first at line 5: a record has 8"),
         (HEADER_3 + R07, "no usable GPS satellite: 0 malformed GPS records, 1 records of other"),
+        (
+            HEADER_3.replace("3.04", "4.01") + "> EPH G05 CNAV\n" + to_version_3(G05),
+            "0 malformed GPS records, 1 records of other constellations or messages",
+        ),
+        (HEADER_3 + G05, "line 4: a record must begin with the letter of its system, got ' '"),
+        (HEADER_2 + G05.partition("\n")[2], "line 5: a record has 8 lines, got 7"),
     ],
 )
 def test_other_files_are_refused(written, text, said):

@@ -61,7 +61,7 @@ def test_a_clean_table_loses_nothing(flight, table):
     assert json.loads(json.dumps(report.as_dict()))["rows"] == len(table)
     text = "\n".join(report.lines())
     assert f"{len(table)} rows" in text
-    assert "barometric altitude is taken as height above the ellipsoid" in text
+    assert "the altitude (`altitude`, read in ft) is taken as height above the ellipsoid" in text
 
 
 @pytest.mark.parametrize(
@@ -104,6 +104,34 @@ def test_files_of_services_are_read_as_they_come(tmp_path, flight, service):
     known = np.isfinite(got.vertical_rate)
     np.testing.assert_allclose(got.vertical_rate[known], 0.0, atol=1e-6)
     assert clean_track(got)[1].fixes == len(table)
+
+
+WRITERS = {
+    "comments": lambda t: f"\n# by hand\n# in feet\n{t}",
+    "sep": lambda t: f"sep=;\n{t.replace(',', ';')}",
+    "ends of lines": lambda t: t.replace("\n", ",\n"),
+    "of rows alone": lambda t: t.replace("\n", ",\n").replace(",\n", "\n", 1),
+    "row names of R": lambda t: t.replace("\n", "\n1,").removesuffix("1,"),
+    "put behind": lambda t: f"{t}{t}",
+    "time_ms": lambda t: t.replace("timestamp", "time_ms").replace(".0,4b", "000,4b"),
+}
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_habits_of_writers_of_csv(tmp_path, table, writer):
+    path = tmp_path / "t.csv"
+    path.write_text(WRITERS[writer](table.to_csv(index=False)))
+    got, want = clean_track(read_track(path))[0], cleaned(table)[0]
+    for field in ("time", "latitude", "longitude", "height", "groundspeed", "track_angle"):
+        np.testing.assert_allclose(getattr(got, field), getattr(want, field), atol=1e-9)
+    assert got.start_utc == want.start_utc
+
+
+def test_seconds_of_a_day_that_begin_again_count_on(table):
+    late = (table["timestamp"] - START_S + 86_300.0) % 86_400.0
+    track, report = cleaned(table.assign(timestamp=late))
+    assert (report.unsorted, report.fixes) == (0, len(table))
+    assert track.duration == cleaned(table)[0].duration
 
 
 def test_rows_out_of_order_are_sorted_and_it_is_said(table):
@@ -196,6 +224,26 @@ def spoil(table, column, row, value):
         (lambda t: spoil(t, "altitude", 5, 1e9), r"`altitude` must .* 50000 m, got 304800000 m in"),
         (lambda t: t.assign(timestamp=9e9), r"`time` must lie between 0 and 4102444800 s, got 9"),
         (lambda t: t.assign(LATITUDE=0.0), "each column once, got 'latitude' twice"),
+        (
+            lambda t: t.assign(timestamp=221_300 + t.index // 12 * 100 + t.index % 12 * 5),
+            "looks like hours, minutes and seconds in one number",
+        ),
+        (
+            lambda t: t.assign(timestamp=(t.timestamp - START_S) / 60.0),
+            "times seem not to be in seconds",
+        ),
+        (
+            lambda t: pandas.concat(
+                [t, t.assign(latitude=t.latitude + 1.0, timestamp=t.timestamp + 2.0)]
+            ).sort_values("timestamp"),
+            "all rows of one aircraft",
+        ),
+        (
+            lambda t: t.assign(
+                latitude=46.0 + 1e-6 * (t.index % 3), longitude=8.0, groundspeed=0.0
+            ),
+            "fixes are at 60 kt or slower",
+        ),
         (lambda t: t.assign(timestamp=START_S), "56 rows have no later time"),
         (lambda t: t.iloc[:4], "at least 6 rows with a position and an altitude, got 4"),
         (lambda t: t.assign(altitude=0.0), "airborne stretch of at least 6 fixes.*at an altitude"),

@@ -200,6 +200,10 @@ REFUSED = {
         "but positions move differently",
     ),
     "km/h": (lambda r: {"velocity_e": 3.6 * np.asarray(r.velocity_e)}, "is it in km/h"),
+    "held": (
+        lambda r: {"position_e": np.repeat(r.position_e[::8], 8, 0)[: len(r.gnss_time)]},
+        "are positions held from one solution to the next",
+    ),
     "g": (lambda r: {"specific_force_b": np.asarray(r.specific_force_b) / 9.8}, "is it in g"),
 }
 

@@ -93,6 +93,25 @@ def test_a_sound_recording_is_neither_refused_nor_flagged(flown):
     assert not gap.flag.any()
 
 
+def inertial(recording):
+    """Satellites in axes that do not turn, and lie along those of the Earth at time zero."""
+    angle = EARTH_RATE * np.asarray(recording.gnss_time)[:, None]
+    cosine, sine = np.cos(angle), np.sin(angle)
+    s, v = recording.satellite_position_e, recording.satellite_velocity_e
+    v = v + np.cross([0.0, 0.0, EARTH_RATE], s)
+    return {
+        name: np.stack(
+            [
+                cosine * x[..., 0] - sine * x[..., 1],
+                sine * x[..., 0] + cosine * x[..., 1],
+                x[..., 2],
+            ],
+            axis=-1,
+        )
+        for name, x in (("satellite_position_e", s), ("satellite_velocity_e", v))
+    }
+
+
 REFUSED = {
     "absent as 0": (
         lambda r: {"pseudorange": put(r.pseudorange, (5, 2), 0.0)},
@@ -171,6 +190,28 @@ REFUSED = {
     "infinite": (lambda r: {"pseudorange": put(r.pseudorange, (5, 2), np.inf)}, "absent is NaN"),
     "text": (lambda r: {"range_rate": r.range_rate.astype(str)}, "must be numbers, got <U"),
     "feet": (lambda r: {"pseudorange": r.pseudorange / 0.3048}, r"are they in feet\?"),
+    "ns": (lambda r: {"pseudorange": r.pseudorange / SPEED_OF_LIGHT * 1e9}, r"are they in ns\?"),
+    "times in min": (
+        lambda r: {"imu_time": r.imu_time / 60.0, "gnss_time": r.gnss_time / 60.0},
+        r"is it, or are the times, in another unit\?",
+    ),
+    "knots": (lambda r: {"range_rate": r.range_rate * 3600.0 / 1852.0}, "grow by 0.514 times"),
+    "mirrored": (
+        lambda r: {
+            x: getattr(r, x) * [1.0, -1.0, 1.0]
+            for x in ("satellite_position_e", "satellite_velocity_e")
+        },
+        r"\(is an axis flipped, or are two swapped\?\)",
+    ),
+    "inertial": (
+        lambda r: inertial(r),
+        r"do not move there as orbits do, by 0\.\d+ .*\(are they in inertial axes\?\)",
+    ),
+    "mg": (lambda r: {"specific_force_b": r.specific_force_b * 102.0}, "is it in mg"),
+    "a mark in the samples": (
+        lambda r: {"specific_force_b": put(r.specific_force_b, slice(90, 99), -9999.0)},
+        r"below 5000 m/s\^2, got 9999 .*the mark of an absent sample\?",
+    ),
     "rates in km/s": (lambda r: {"range_rate": r.range_rate / 1e3}, r"is it in km/s\?"),
     "satellites at rest": (
         lambda r: {"satellite_velocity_e": 0.0 * r.satellite_velocity_e},
@@ -266,6 +307,12 @@ def test_a_start_far_from_the_earth_s_surface_is_not_found(flown):
     recording, _, chosen = flown
     with pytest.raises(ValueError, match=r"`initial` is not found .* belong together\?\)$"):
         replay(replace(recording, **moved(recording, chosen, 3600.0)), RECEIVER)
+
+
+def test_a_start_is_not_found_where_nothing_is_felt(flown):
+    recording, _, _ = flown
+    with pytest.raises(ValueError, match=r"`initial` is not found .* `specific_force_b` is 0"):
+        replay(replace(recording, specific_force_b=0.0 * recording.specific_force_b), RECEIVER)
 
 
 FLAGGED = {
