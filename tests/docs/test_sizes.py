@@ -55,3 +55,9 @@ def test_walls_are_found():
     ]
     assert find_walls("| a | b | c | d | e | f | g |\n|---|---|\n") == ["a table of 0 x 7"]
     assert find_walls(f"```text\n{'word ' * 1300}\n{head}{11 * line}\n```\n") == []
+
+
+def test_no_picture_is_large():
+    pictures = [x for x in (ROOT / "docs").rglob("*") if x.suffix in {".png", ".svg", ".webp"}]
+    assert len(pictures) > 40
+    assert {x.name for x in pictures if x.stat().st_size > 1_500_000} == set()
