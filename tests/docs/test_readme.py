@@ -154,7 +154,7 @@ def test_the_training_is_that_of_the_tutorial_and_has_its_scores():
     model, ramp = (line for line in printed if " m at 5 % of alarms" in line)
     form = r": ([\d.]+) \(([\d.]+) to ([\d.]+)\) m at 5 % of alarms.* of 397 runs"
     learned, pulled = (re.search(form, line).groups() for line in (model, ramp))
-    here = "PPO gets {} m (95 % interval {} to {};".format(*learned)
+    here = "PPO reaches {} m (95 % interval {} to {};".format(*learned)
     elsewhere = f"[{learned[0]} m](docs/promises.md#reproducibility) on another kind of processor"
     assert here in README or elsewhere in README, learned
     assert "the best ramp {} m ({} to {})".format(*pulled) in README
