@@ -155,9 +155,7 @@ def test_a_log_of_it_says_what_an_attack_does(recording):
     moved *= log.interval_s
     shift, away = east[0] * moved[:, None], east[0] * rate * (moved > 0)[:, None]
     attacked = replace(
-        recording,
-        position_e=recording.position_e + shift,
-        velocity_e=recording.velocity_e + away,
+        recording, position_e=recording.position_e + shift, velocity_e=recording.velocity_e + away
     )
     other = replay(attacked, RECEIVER, noise_variance=NOISE**2)
     k = first + attacks.epochs - 1
