@@ -16,17 +16,7 @@ from spoofgym.tasks import get_task
 from spoofgym.testing import check_detector
 from tools.headlines import DATA_FILE as FULL
 from tools.pages import part_between
-from tools.readme_bench import (
-    END,
-    LEARNED,
-    SHARED,
-    SHOWN,
-    START,
-    WORLD,
-    label,
-    shared_rows,
-    shown,
-)
+from tools.readme_bench import END, LEARNED, SHARED, SHOWN, START, WORLD, label, shared_rows, shown
 from tools.readme_figures import read_parts
 
 from .pages import ROOT, blocks_of, play, text_of

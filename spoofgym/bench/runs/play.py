@@ -56,7 +56,7 @@ class SpooferController:
     """Spoofers that command the receivers of an engine, which are at their onset; it leaves
     measurements alone where the first transmits nothing. `specs` are alike but for their settings:
     they observe and command the same, at one pace; `which` (B,) commands each receiver, by default
-    the first."""
+    the first, and -1 none."""
 
     def __init__(
         self, specs: Sequence[Any], engine: Engine, which: NDArray[np.intp] | None = None
@@ -101,7 +101,7 @@ class SpooferController:
     def decide(self, epoch: int) -> FloatArray:
         """Action of the spoofers, checked: (B, k) float64, C-contiguous."""
         seen = self._observer(self.engine, epoch)
-        action = np.empty((self.engine.receivers, len(self._commands.names)))
+        action = np.zeros((self.engine.receivers, len(self._commands.names)))
         for part in self._parts:
             rows = part.where
             action[rows] = _shaped_action(part.spoofer, seen[rows])
