@@ -22,7 +22,7 @@ extras_train := report,train
 extras_learn := flights,limits,report,train
 
 # What is tested with RLlib, Minari and the oldest Gymnasium.
-tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tests/docs/test_rl_libraries.py
+tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tests/docs/test_rl_libraries.py tests/test_cli_dataset.py
 
 .DEFAULT_GOAL := help
 bench_detectors = $(addprefix --detector ,cumulative-bank:signals=range_rate snapshot-chi2)

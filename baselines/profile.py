@@ -62,11 +62,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 SEARCHED = "open-loop"
-FITTED = {
-    "ramp": "rate_mps",
-    "accelerating-ramp": "acceleration_mps2",
-    SEARCHED: "amplitude",
-}
+FITTED = {"ramp": "rate_mps", "accelerating-ramp": "acceleration_mps2", SEARCHED: "amplitude"}
 """Spoofers, and the setting of each that is fitted."""
 HIDDEN_OPTIONS = {"threads", "resume", "as_json"}
 """Options that change nothing in the card."""
@@ -117,8 +113,7 @@ def main(
         int | None, typer.Option(min=1, help="Threads of the engine. Default: as many as pay.")
     ] = None,
     resume: Annotated[
-        bool,
-        typer.Option("--resume/--overwrite", help="Go on with a search that was interrupted."),
+        bool, typer.Option("--resume/--overwrite", help="Go on with a search that was interrupted.")
     ] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else.")] = False,
 ) -> None:

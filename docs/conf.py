@@ -21,6 +21,8 @@ import spoofgym
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {"README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "docs"}
+CARDS = "\n```{container} cards\n%s\n```\n\n## Install\n"
+"""On the first page, before its first heading: the tutorials."""
 TREE = "\n```{toctree}\n:hidden:\n:glob:\n:caption: %s\n%s\n```\n"
 MORE = {
     "Tutorials": ["docs/README"],
@@ -61,10 +63,19 @@ numpydoc_show_class_members = False
 
 
 def add_contents(app, docname, source):
-    """Let the first page list all others, by the headings and the rows of docs/README.md."""
+    """Let the first page show the tutorials as cards, and list all pages, by the headings and the
+    rows of docs/README.md."""
     if docname == root_doc:
         for part in (ROOT / "docs/README.md").read_text().split("\n## ")[1:]:
             caption = part.splitlines()[0]
+            if caption == "Tutorials":
+                rows = re.findall(r"^\| \[(.*?)\]\((.*?)\) \| (.*) \|$", part, re.M)
+                cards = [
+                    f"- [**{name[0].upper()}{name[1:]}**](docs/{page})\n\n  {what}"
+                    for name, page, what in rows
+                ]
+                before, after = source[0].split("\n## Install\n")
+                source[0] = before + CARDS % "\n\n".join(cards) + after
             pages = [f"docs/{x}" for x in re.findall(r"^\| \[.*?\]\((.*?)\.\w+\)", part, re.M)]
             source[0] += TREE % (caption, "\n".join(pages + MORE.get(caption, [])))
 

@@ -1,5 +1,6 @@
 """spoofgym dataset."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -75,3 +76,43 @@ def test_a_calibration_that_is_missing_is_made_for_who_can_be_watched(tmp_path, 
 def test_wrong_input_gets_one_clear_line(more, message):
     assert message in refused("dataset", "data", *SHORT, *SMALL, *more)
     assert not Path("data").exists()
+
+
+RAMPS = ["--spoofer", "ramp:rate_mps=0.05", "--spoofer", "ramp:rate_mps=1", "--train", "2"]
+NAMED = ["dataset", "spoofgym/two-v0", "--format", "minari", *SHORT]
+JUDGE = ["--detector", "snapshot-chi2:thresholds=nominal,false_alarm=0.3"]
+
+
+# Minari's folder of what is not finished goes when nothing holds it any more
+@pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_episodes_of_spoofers_become_a_data_set_of_minari(tmp_path, monkeypatch):
+    minari = pytest.importorskip("minari", reason="minari is not installed: make test-ray")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    line = [*NAMED, *JUDGE, *RAMPS, "--knowledge", "blind", "--seed", "7"]
+    found = read(*line, "--json")
+    assert (found["episodes"], found["with an alarm"]) == (4, 2)
+    data = minari.load_dataset("spoofgym/two-v0")
+    env = data.recover_environment()
+    assert data.observation_space == env.observation_space
+    assert env.unwrapped.observation_names[0] == "own_displacement_along_target"
+    alarms = []
+    for k, episode in enumerate(data):
+        assert all(action in env.action_space for action in episode.actions)
+        env.reset(seed=7 + k)
+        played = [env.step(action) for action in episode.actions]
+        assert [step[1] for step in played] == episode.rewards.tolist()
+        alarms.append(played[-1][4]["detected"])
+    assert alarms == [False, True, False, True]
+    assert "there is a data set spoofgym/two-v0 already" in refused(*line)
+
+
+def test_a_data_set_of_minari_names_what_it_lacks_and_what_it_does_not_take(monkeypatch):
+    assert "needs a --spoofer" in refused(*NAMED, *JUDGE)
+    for more in (["--term", "innovation"], ["--validation", "3"], ["--jobs", "2"]):
+        assert f"{more[0]} can't be given with --format minari" in refused(*NAMED, *RAMPS, *more)
+    other = [*NAMED[:3], "epochs", *NAMED[4:], "--knowledge", "blind"]
+    assert "--knowledge can't be given with --format epochs" in refused(*other)
+    assert "unknown format 'hdf5'" in refused(*NAMED[:3], "hdf5")
+    monkeypatch.setitem(sys.modules, "minari", None)
+    assert "pip install 'minari[arrow,create]'" in refused(*NAMED, *JUDGE, *RAMPS)

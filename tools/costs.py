@@ -9,6 +9,7 @@ import argparse
 import json
 import os
 import platform
+import re
 import shlex
 import subprocess
 import sys
@@ -22,26 +23,40 @@ from agents.folder import write_json
 from spoofgym.bench.report.table import Table
 from spoofgym.core.registry import check_choice
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
-from tools.pages import DOCS, ROOT, marks, put_between
+from tools.pages import DOCS, ROOT, fit_tables, marks, put_between
 
 PAGE, DATA_FILE = DOCS / "costs.md", DOCS / "costs.json"
 COMMANDS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text())
 
 
+def play(words: list[str], folder: str) -> tuple[dict[str, Any], list[str]]:
+    """Run Python in a folder, with nothing calibrated before: what it and its children took, and
+    the lines that it printed."""
+    process = subprocess.Popen(
+        [sys.executable, "-W", "ignore", *words],
+        env={**os.environ, FOLDER_VARIABLE: folder},
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    printed = process.stdout.read().splitlines()
+    _, status, used = os.wait4(process.pid, 0)
+    if status:
+        raise SystemExit(f"{shlex.join(words)!r} failed")
+    took = {"cpu_s": round(used.ru_utime + used.ru_stime, 1), "memory_mb": used.ru_maxrss // 1024}
+    return took, printed
+
+
 def measure(command: str) -> dict[str, Any]:
-    """Run a command with no results of its own; what it and its children took."""
+    """What a command with no results of its own takes."""
     with tempfile.TemporaryDirectory() as out:
-        words = shlex.split(command.format(out=out))
-        process = subprocess.Popen(
-            [sys.executable, "-W", "ignore", "-m", "spoofgym", *words],
-            env={**os.environ, FOLDER_VARIABLE: out},
-            cwd=out,
-            stdout=subprocess.DEVNULL,
-        )
-        _, status, used = os.wait4(process.pid, 0)
-        if status:
-            raise SystemExit(f"{command!r} failed")
-    return {"cpu_s": round(used.ru_utime + used.ru_stime, 1), "memory_mb": used.ru_maxrss // 1024}
+        return play(["-m", "spoofgym", *shlex.split(command.format(out=out))], out)[0]
+
+
+def read_processor() -> str:
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    return next(x for x in lines if x.startswith("model name")).partition(": ")[2]
 
 
 def read_stored() -> list[tuple[str, str]]:
@@ -59,12 +74,13 @@ def build_tables(kept: dict[str, Any]) -> str:
     for name, command in COMMANDS.items():
         cpu_s, memory_mb = kept["rows"].get(name, {"cpu_s": None, "memory_mb": "-"}).values()
         minutes = "not measured" if cpu_s is None else f"{cpu_s / 60.0:.1f}"
-        shown = f"`spoofgym {command.partition(' --out {out}')[0]}`"
+        shown = f"`spoofgym {re.sub(' --out {out}.*|{out}/', '', command)}`"
         rows.append((name, shown, minutes, str(memory_mb)))
-    measured = Table.of_texts("row", "command", "CPU [min]", "largest process [MB]").markdown(rows)
+    head = "row", "command", "CPU [min]", "largest process [MB]"
+    measured = fit_tables(Table.of_texts(*head).markdown(rows) + "\n").rstrip()
     stored = Table.of_texts("computed by", "on the clock [min]").markdown(read_stored())
-    head = "On the clock, when the stored results were computed, on the machine of that day:"
-    return f"Measured on: {kept['machine']}.\n\n{measured}\n\n{head}\n\n{stored}\n"
+    second = "On the clock, when the stored results were computed, on the machine of that day:"
+    return f"Measured on: {kept['machine']}.\n\n{measured}\n\n{second}\n\n{stored}\n"
 
 
 def main(arguments: list[str]) -> None:
@@ -76,10 +92,8 @@ def main(arguments: list[str]) -> None:
     kept = json.loads(DATA_FILE.read_text()) if DATA_FILE.exists() else {"rows": {}}
     for name in names:
         kept["rows"][name] = measure(COMMANDS[name])
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        model = next(x for x in lines if x.startswith("model name")).partition(": ")[2]
-        machine = f"{model}, {os.cpu_count()} cores, {platform.system()}, other programs running"
-        write_json(DATA_FILE, {**kept, "machine": machine}, None)
+        cores = f"{os.cpu_count()} cores, {platform.system()}, other programs running"
+        write_json(DATA_FILE, {**kept, "machine": f"{read_processor()}, {cores}"}, None)
     put_between(PAGE, *marks("costs"), build_tables(json.loads(DATA_FILE.read_text())))
 
 

@@ -48,6 +48,7 @@ from .pages import DOCS, fit_tables, marks, put_between
 from .scored import get_sizes, make_parser
 
 PAGE, DATA_FILE = DOCS / "offsets.md", DOCS / "offsets.json"
+MARKS = marks("offsets-worth")
 WORLD, RATE_MPS = "zhong2025", 5.0
 ALL, UNSEEN = "all", "unseen ramp"
 CAPTURED = ("5 of 8", "4 of 8", ALL)
@@ -135,10 +136,9 @@ def rows(label: str, found: Mapping[str, Any]) -> tuple[str, ...]:
     return (f"`{label.partition(',')[0]}`", found["captured"], *cells, *words)
 
 
-def write_page(kept: Mapping[str, Any]) -> None:
+def build_table(kept: Mapping[str, Any]) -> str:
     lines = [rows(label, each) for label, each in kept["cases"].items()]
-    table = Table.of_texts(*HEAD).markdown(lines)
-    put_between(PAGE, *marks("offsets-worth"), fit_tables(f"{table}\n"))
+    return fit_tables(f"{Table.of_texts(*HEAD).markdown(lines)}\n")
 
 
 @error_lines()
@@ -174,7 +174,7 @@ def main(arguments: list[str]) -> None:
         kept = json.loads(DATA_FILE.read_text())["cases"] if DATA_FILE.exists() else {}
         kept = {"world": WORLD, "runs": given.runs, "cases": {**kept, **found}}
         write_json(DATA_FILE, kept)
-        write_page(kept)
+        put_between(PAGE, *MARKS, build_table(kept))
     Table.of_texts(*HEAD).print(
         f"offsets, {given.runs} runs", [rows(label, each) for label, each in found.items()]
     )

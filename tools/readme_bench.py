@@ -90,6 +90,22 @@ def choose_policies(learned: dict[str, Any]) -> dict[str, Any]:
     return {each["detector"]: each for each in ranked}
 
 
+def add_learned(world: dict[str, Any], learned: dict[str, Any]) -> dict[str, Any]:
+    """A world with the scored policies among its cells, as the picture shows them."""
+    names = {label(row["detector"]): row["detector"] for row in world["detectors"]}
+    cells = [
+        {
+            "detector": names[short],
+            "spoofer": "learned",
+            "stealthy_displacement_m": policy["score"][MEASURES[0]],
+            "within_budget": True,
+            "tuned_within_budget": True,
+        }
+        for short, policy in choose_policies(learned).items()
+    ]
+    return {**world, "cells": [*world["cells"], *cells]}
+
+
 def _describe_gain(detector: str, learned: dict[str, Any]) -> str:
     """How far the policy of every seed that was kept gets over its base."""
     seeds = [each["ratio"] for each in list_policies(learned) if each["detector"] == detector]
@@ -139,11 +155,11 @@ def main(arguments: list[str]) -> None:
         summary = summarize(CampaignResults.load(given))
         kept = {"campaign": summary["campaign"], "rows": shared_rows(summary)}
         write_json(SHARED, kept)
-    world = json.loads(FULL.read_text())["worlds"][WORLD]
+    world, learned = json.loads(FULL.read_text())["worlds"][WORLD], json.loads(LEARNED.read_text())
     (group,) = groups(world)
-    dots = picture_displacements(world, group)
+    dots = picture_displacements(add_learned(world, learned), group)
     save_drawing(dots.draw, dots.height_in, DRAWN)
-    put_between(README, START, END, shown(world, json.loads(LEARNED.read_text())))
+    put_between(README, START, END, shown(world, learned))
 
 
 if __name__ == "__main__":

@@ -45,14 +45,7 @@ from spoofgym.bench.experiments.best_response import (
 from spoofgym.bench.experiments.calibration import calibrate
 from spoofgym.bench.experiments.game import Game
 from spoofgym.bench.experiments.suite import list_task_detectors
-from spoofgym.bench.runs.players import (
-    DETECTOR,
-    SPOOFER,
-    Mixture,
-    PlayerSpec,
-    make_player,
-    mixture,
-)
+from spoofgym.bench.runs.players import DETECTOR, SPOOFER, Mixture, PlayerSpec, make_player, mixture
 from spoofgym.bench.runs.world import CONTROLS
 from spoofgym.bench.scores.matrix_game import PAYOFFS, PayoffMatrix
 from spoofgym.bench.search.open_loop import OpenLoopSearch

@@ -40,12 +40,7 @@ from spoofgym.bench.search.amplitude import EXACT, TuningResult
 from spoofgym.core.progress import ProgressBar
 from spoofgym.core.registry import check_choice
 from spoofgym.sb3 import SpoofVecEnv
-from spoofgym.spoofers.learned import (
-    ModelPolicy,
-    describe_env,
-    get_normalization,
-    make_function,
-)
+from spoofgym.spoofers.learned import ModelPolicy, describe_env, get_normalization, make_function
 from spoofgym.spoofers.residual import SHARE
 
 from .offsets_ppo import NUM_ENVS, PACE, PLAIN, WORLD

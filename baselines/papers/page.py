@@ -1,13 +1,17 @@
 """Pages of the papers in docs: ``python -m baselines.papers.page``.
 
 A page is made of the texts of a paper's module, and of the JSON file and the pictures with it,
-which are made from a stored full run: ``python -m baselines.papers all`` first.
+which are made from a stored full run: ``python -m baselines.papers all`` first.  Beside it lie all
+rows as CSV, where their bands come from, and a picture of what is printed and what is ours.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import re
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,31 +20,34 @@ import typer
 from spoofgym import __version__
 from spoofgym.cli import clear_errors
 from spoofgym.core.files import whole_file, write_file
+from spoofgym.core.plots import BLUE, GREY, ORANGE, figure_class, save_figure, style
 from spoofgym.core.reading import read_json
 
 from .frame import Paper, Settings
 from .paper import ALL, KEYS, load_paper
 from .run import Data, PaperRun
-from .tables import HEAD, by_table, cells, counts_text
+from .tables import COUNTS, HEAD, by_table, cells, count, counts_text
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "papers"
 FIGURES = "figures"
 """Folder of the pictures, within that of the pages."""
 VERSIONS = ("python", "numpy", "scipy", "numba")
-LEGEND = """\
-Every band says where it comes from, by its letter. A *tolerance* is a margin around the printed
-value, or the spread of our own runs; an *independent* band is around what a second program found,
-which was written separately from the same paper and is not part of this repository: often one
-standard deviation of single runs, ours or its own, to either side of its median, a coarse check; a
-*bound* is a limit from theory or of our own.
-
-- *printed inside*: the printed value and ours both lie in the band. Where the band excludes the
-  printed value it is NO, wherever ours lies.
-- *agrees*: ours lies in the band of the independent implementation.
-- *kept*: ours lies within the bound.
-
-Under *paper*, 1 and 0 stand for what the paper claims of all or of none in words."""
-
+MOST_ROWS = 10
+"""Of a table of a page."""
+PARTS = "table", "rows", *(name.replace("_", " ") for name in COUNTS), "without a band"
+SHARE, COUNT = "share", "count"
+PANELS = {"[s]": "times [s]", "[m]": "errors and thresholds [m]", "%": "shares [%]"}
+PANELS |= {SHARE: PANELS["%"], COUNT: "counts"}
+"""Panels of the picture of all rows, by the unit of a quantity; a share is shown in per cent."""
+VALUES = "paper", "ours"
+MOST_LINEAR = 300.0
+"""Largest value over the smallest, beyond which an axis is logarithmic."""
+LOOKS: dict[str, dict[str, Any]] = {
+    "band": {"color": GREY, "lw": 3, "alpha": 0.4, "solid_capstyle": "butt", "zorder": 1},
+    "ours": {"color": BLUE, "marker": "o", "ms": 3.5, "ls": "none"},
+    "ours, not met": {"color": ORANGE, "marker": "o", "ms": 3.5, "ls": "none"},
+    "as printed": {"color": "black", "marker": "x", "ms": 5, "ls": "none"},
+}
 app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -78,6 +85,9 @@ def main(
             content = json.dumps(stored, indent=1, allow_nan=False) + "\n"
             write_file(path, content.encode())
         page = path.with_suffix(".md")
+        for name, content in list_files(stored).items():
+            write_file(docs / name, content.encode())
+        draw_rows(stored["rows"], path.with_suffix(".png"))
         write_file(page, page_text(paper, stored).encode())
         typer.echo(f"written: {page}")
 
@@ -104,6 +114,71 @@ def page_record(run: PaperRun, data: Data, pictures: list[str]) -> dict[str, Any
     }
 
 
+def list_files(stored: Mapping[str, Any]) -> dict[str, str]:
+    """CSV files beside a page, by name: all rows, and where their bands come from."""
+    rows = [[name, *cells(row)] for name, own in by_table(stored["rows"]).items() for row in own]
+    bands = [[letter, each["kind"], each["text"]] for letter, each in stored["origins"].items()]
+    key = stored["paper"]
+    return {
+        f"{key}.csv": _csv(("table", *HEAD), rows),
+        f"{key}_bands.csv": _csv(("band", "kind", "where it comes from"), bands),
+    }
+
+
+def _csv(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="\n").writerows([head, *rows])
+    return buffer.getvalue()
+
+
+def read_unit(row: Mapping[str, Any]) -> str:
+    """Panel of a row, by the unit of its quantity; "" for one with another unit."""
+    found = [unit for unit in PANELS if unit in row["quantity"]]
+    if found or "[" in row["quantity"]:
+        return found[0] if found else ""
+    return SHARE if max(row["paper"], row["ours"]) <= 1.0 else COUNT
+
+
+def draw_rows(rows: Iterable[Mapping[str, Any]], path: Path) -> Path:
+    """Every row with a printed value and a band: crosses as printed, dots ours."""
+    panels: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        if row["printed_inside"] is not None and row["ours"] is not None and read_unit(row):
+            panels.setdefault(PANELS[read_unit(row)], []).append(row)
+    figure = figure_class()(figsize=(4.2 * max(len(panels), 1), 3.4), layout="constrained", dpi=110)
+    axes = figure.subplots(1, max(len(panels), 1), squeeze=False)[0]
+    for ax, (title, own) in zip(axes, sorted(panels.items()), strict=False):
+        style(ax)
+        _draw_panel(ax, sorted(own, key=lambda row: row["paper"]))
+        ax.set(title=title, xlabel="rows, by their printed value", xticks=[])
+    for name, look in LOOKS.items():
+        axes[0].plot([], [], label=name, **look)
+    figure.legend(loc="outside lower center", ncols=2 * len(axes), frameon=False)
+    return save_figure(figure, path)
+
+
+def _draw_panel(ax: Any, rows: Sequence[Mapping[str, Any]]) -> None:
+    scale = [100.0 if read_unit(row) == SHARE else 1.0 for row in rows]
+    every = [
+        factor * abs(row[name]) for row, factor in zip(rows, scale, strict=True) for name in VALUES
+    ]
+    shares = {read_unit(row) for row in rows} <= {SHARE, "%"}
+    if not shares and max(every) > MOST_LINEAR * min((x for x in every if x > 0.0), default=1.0):
+        ax.set_yscale("symlog", linthresh=1.0)
+        ax.yaxis.set_major_formatter("{x:g}")
+    bare = []
+    for k, (row, factor) in enumerate(zip(rows, scale, strict=True)):
+        printed, ours = (factor * row[name] for name in VALUES)
+        bare.append((k, printed, ours, bool(row["printed_inside"])))
+        ends = [None if row[name] is None else factor * row[name] for name in ("low", "high")]
+        if None not in ends:
+            ax.plot([k, k], ends, **LOOKS["band"])
+    for met, name in ((True, "ours"), (False, "ours, not met")):
+        shown = [(k, ours) for k, _, ours, each in bare if each is met]
+        ax.plot([k for k, _ in shown], [ours for _, ours in shown], **LOOKS[name])
+    ax.plot([k for k, *_ in bare], [printed for _, printed, *_ in bare], **LOOKS["as printed"])
+
+
 def page_text(paper: Paper, stored: dict[str, Any]) -> str:
     """Page of a paper."""
     key, rows = stored["paper"], stored["rows"]
@@ -113,9 +188,8 @@ def page_text(paper: Paper, stored: dict[str, Any]) -> str:
     lines = [
         f"# {paper.TITLE}",
         "",
-        f"Key in `references.bib`: `{key}`. This page and `{key}.json` are made by "
-        "`python -m baselines.papers.page`; edit the texts in the module "
-        f"`baselines.papers.{key}`.",
+        f"`{key}` in the [bibliography](../bibliography.md). `python -m baselines.papers.page` "
+        f"makes this page; its texts are in `baselines.papers.{key}`.",
         "",
         "## What the paper claims",
         "",
@@ -127,26 +201,22 @@ def page_text(paper: Paper, stored: dict[str, Any]) -> str:
         "",
         *(f"- {line}" for line in counts_text(rows)),
         "",
+        f"![Printed values as crosses, ours as dots, bands in grey]({key}.png)",
+        "",
         "## Readings",
         "",
         paper.READINGS.strip(),
         "",
-        "## Where the bands come from",
-        "",
-        LEGEND,
-        "",
-        *(
-            f"- **{letter}** ({origin['kind']}): {origin['text']}"
-            for letter, origin in stored["origins"].items()
-        ),
-        "",
         "## Tables",
         "",
+        f"All rows are in [{key}.csv]({key}.csv), where their bands come from in "
+        f"[{key}_bands.csv]({key}_bands.csv). [How to read them](../papers.md#how-to-read-a-row).",
+        "",
     ]
-    for name, members in by_table(rows).items():
-        lines += [f"### {_cell(name)}", "", _line(HEAD), _line(["---"] * len(HEAD))]
-        lines += [_line(map(_cell, cells(row))) for row in members]
-        lines.append("")
+    counted = [_count_table(name, own) for name, own in by_table(rows).items()]
+    for first in range(0, len(counted), MOST_ROWS):
+        some = counted[first : first + MOST_ROWS]
+        lines += [_line(PARTS), _line(["---"] * len(PARTS)), *map(_line, some), ""]
     lines += ["## Figures", "", "Drawn from our runs; the numbers are those of the paper.", ""]
     for name in stored["pictures"]:
         number = int(re.findall(r"[0-9]+", name)[-1])
@@ -162,6 +232,14 @@ def page_text(paper: Paper, stored: dict[str, Any]) -> str:
         f"{computed}.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _count_table(name: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A table of a paper under `PARTS`."""
+    told = [count(rows, verdict) for verdict in COUNTS]
+    shown = [f"{yes} of {every}" if every else "-" for yes, every in told]
+    rest = sum(row["origin"] is None for row in rows)
+    return [_cell(name), str(len(rows)), *shown, str(rest)]
 
 
 def _line(texts: Any) -> str:

@@ -122,10 +122,7 @@ class SpooferClock:
         default=0.0, least=0.0, unit="m^2/s", help="Phase noise, as in `ReceiverClock`."
     )
     frequency_psd: float = setting(
-        default=0.0,
-        least=0.0,
-        unit="m^2/s^3",
-        help="Frequency noise, as in `ReceiverClock`.",
+        default=0.0, least=0.0, unit="m^2/s^3", help="Frequency noise, as in `ReceiverClock`."
     )
 
 

@@ -1,4 +1,4 @@
-"""Data sets to train a detector on."""
+"""Data sets to train a detector on, and of a spoofer's episodes for Minari."""
 
 from __future__ import annotations
 
@@ -10,16 +10,31 @@ from typer import Argument, Option
 from . import options as opt
 from .app import print_json, print_lines, progress
 from .options import WorldOptions, with_options
-from .suites import make_world, state_reality
+from .suites import make_world, refuse_decided, state_reality
 
 if TYPE_CHECKING:
     from ..bench.experiments.dataset import Plan
 
+FORMATS = EPOCHS, MINARI = "epochs", "minari"
+OF_EPOCHS = ("term", "family", "validation", "test", "file_runs", "alert_limit_m", "overwrite")
+OF_EPOCHS += ("threads", "jobs", "backend", "shard")
+"""Options of the first format alone."""
+
 
 @with_options
 def dataset(
-    out: Path = Argument(help="Folder of the data set."),
+    out: Path = Argument(help="Folder of the data set; its id with --format minari."),
     *,
+    kind: str = Option(
+        EPOCHS,
+        "--format",
+        help="epochs: to train a detector. minari: observations, actions and rewards of spoofers, "
+        "to learn from offline; --train episodes of each --spoofer, and OUT is the id of the data "
+        "set, such as spoofgym/ramps-v0.",
+    ),
+    knowledge: str | None = Option(
+        None, help="What observations show with --format minari. Default: the environment's."
+    ),
     task: str | None = Option(None, help="World of a task, S1 to S3 or T1 to T6; its detector."),
     detector: str | None = Option(
         None,
@@ -65,6 +80,14 @@ def dataset(
     """
     from ..bench.experiments import Store
     from ..bench.report.results import DATASET
+    from ..core.registry import check_choice
+
+    check_choice("format", kind, FORMATS)
+    if kind == MINARI:
+        refuse_decided(options, "--format minari", OF_EPOCHS)
+        _collect(options, str(out), task, detector, spoofer, train, seed, knowledge, as_json)
+        return
+    refuse_decided(options, "--format epochs", ("knowledge",))
 
     chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": file_runs, "task": task}
     chosen["runs"] = {"train": train, "validation": validation, "test": test}
@@ -117,3 +140,38 @@ def _plan(
     if guard is not None:
         calibrate_players(played, specify_detectors([guard]), threads=threads, progress=progress)
     return plan
+
+
+def _collect(
+    options: WorldOptions,
+    name: str,
+    task: str | None,
+    detector: str | None,
+    spoofers: list[str] | None,
+    episodes: int,
+    seed: int,
+    knowledge: str | None,
+    as_json: bool,
+) -> None:
+    from ..bench.experiments.calibration import calibrate_players
+    from ..bench.experiments.offline import collect_episodes
+    from ..bench.report.table import FIELDS
+    from ..bench.runs.players import specify_detectors
+    from ..tasks import get_task
+
+    if not spoofers:
+        raise ValueError("--format minari needs a --spoofer whose episodes are recorded")
+    played = make_world(options, task)
+    guard = None if task is None else get_task(task).detector
+    if detector is not None:
+        (guard,) = opt.parse_specs([detector])
+    guard = played.detector if guard is None else guard
+    calibrate_players(played, specify_detectors([guard]), threads=None, progress=progress)
+    specs = opt.parse_specs(spoofers)
+    with progress(episodes * len(specs)) as bar:
+        shared: dict[str, Any] = {"episodes": episodes, "seed": seed, "knowledge": knowledge}
+        found = collect_episodes(name, played, guard, specs, **shared, progress=bar)
+    if as_json:
+        print_json(found)
+        return
+    FIELDS.print(f"{name}, a data set of Minari", found.items())

@@ -54,8 +54,10 @@ class Memory(dict[str, NDArray[Any]]):
             f"memory {name!r} needs a leading axis of {self.receivers} receivers, "
             f"got shape {array.shape}",
         )
-        self._initial[name] = array
-        self[name] = array.copy()
+        self[name] = array
+        alike = bool((array[:1] == array).all())  # one row stands for all then
+        first = array[:1].copy()
+        self._initial[name] = np.broadcast_to(first, array.shape) if alike else array.copy()
 
     def declare_all(self, **initial: NDArray[Any]) -> None:
         for name, array in initial.items():
@@ -73,7 +75,10 @@ class Memory(dict[str, NDArray[Any]]):
     def copy_rows(self, to: NDArray[np.intp], other: Memory, rows: NDArray[np.intp]) -> None:
         """Take over rows of another memory of the same names. `to`: rows of this memory that are
         overwritten."""
+        whole = np.array_equal(to, np.arange(self.receivers))
         for name in self._initial:
-            merged = np.array(self[name])
-            merged[to] = other[name][rows]
-            self[name] = merged
+            taken = other[name][rows]
+            if not whole:
+                merged = self[name].copy()
+                merged[to] = taken
+            self[name] = taken if whole else merged

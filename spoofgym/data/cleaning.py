@@ -270,8 +270,7 @@ def clean_track(
     fixes, angle, speed = fixes[cut], angle[cut], speed[cut]
     if raw.unit_by_name:
         _refuse(
-            raw.name,
-            find_mistaken_altitude(fixes.time, fixes.altitude, fixes.vertical_rate, speed),
+            raw.name, find_mistaken_altitude(fixes.time, fixes.altitude, fixes.vertical_rate, speed)
         )
     start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=float(fixes.time[0]))
     track = Track(

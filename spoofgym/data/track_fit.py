@@ -417,8 +417,7 @@ def _report(track: Track, path: SmoothPath, flight: Flight) -> FitReport:
     latitude, longitude, height = path.position(track.time)
     per_north, per_east = metres_per_radian(track.latitude, track.height)
     distance = np.hypot(
-        (latitude - track.latitude) * per_north,
-        _half_turn(longitude - track.longitude) * per_east,
+        (latitude - track.latitude) * per_north, _half_turn(longitude - track.longitude) * per_east
     )
     if (rms := _rms(distance)) > LARGEST_RMS:
         raise ValueError(

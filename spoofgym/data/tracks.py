@@ -174,10 +174,7 @@ class RawTrack:
 
 
 def read_track(
-    path: str | Path,
-    *,
-    altitude_unit: str | None = None,
-    aircraft: str | None = None,
+    path: str | Path, *, altitude_unit: str | None = None, aircraft: str | None = None
 ) -> RawTrack:
     """Read a recorded track from a CSV, Parquet, JSON or JSON Lines file, compressed or not.
     `altitude_unit`: unit of the altitude column; by default by its name, see `QUANTITIES`;

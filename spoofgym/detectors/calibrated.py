@@ -312,10 +312,7 @@ def noisy_warmup(name: str, point: OperatingPoint) -> str:
 
 @njit
 def rescale_innovations(
-    innovation: FloatArray,
-    visible: BoolArray,
-    factors: FloatArray,
-    out: FloatArray,
+    innovation: FloatArray, visible: BoolArray, factors: FloatArray, out: FloatArray
 ) -> None:
     r"""Scale common mode and complement of the innovations of each signal.
 

@@ -485,10 +485,7 @@ def _kind(detector: Mapping[str, Any]) -> str:
 
 
 def load_stored(
-    conditions: Conditions,
-    detector: Mapping[str, Any],
-    rescaled: bool,
-    folder: Path | None = None,
+    conditions: Conditions, detector: Mapping[str, Any], rescaled: bool, folder: Path | None = None
 ) -> Iterator[Calibration]:
     """Calibrations of a detector in a world: the shipped one, then one's own; or of a folder."""
     name = file_name(conditions.digest, detector, rescaled)

@@ -101,10 +101,7 @@ def line_up(
 
 @njit
 def write_groups(
-    data: SearchData,
-    visible: BoolArray,
-    group: NDArray[np.int8],
-    weights: FloatArray,
+    data: SearchData, visible: BoolArray, group: NDArray[np.int8], weights: FloatArray
 ) -> None:
     """Write groups (B, n) int8, 0 unknown, 1 and 2 the groups, and weights (B, 2n), 0 for the
     second group and for visible satellites without a finite offset."""

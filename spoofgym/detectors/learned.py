@@ -117,11 +117,7 @@ class DetectorAgent(Detector):
         return compare(np.zeros((len(epoch.time), self._columns)), 1.0)
 
     def verdict(
-        self,
-        action: FloatArray,
-        threshold: FloatArray,
-        visible: BoolArray,
-        interval: FloatArray,
+        self, action: FloatArray, threshold: FloatArray, visible: BoolArray, interval: FloatArray
     ) -> Verdict:
         """Verdict of an action (B, a) in [-1, 1]; what it excludes is taken off the allowance.
         `threshold` (B,); `interval` (B,) since the last epoch [s]. The statistic of an invisible

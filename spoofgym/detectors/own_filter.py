@@ -34,12 +34,7 @@ from ..receiver.augmented import FIRST, IN_RUN, first_covariance
 from ..receiver.epoch import Epoch
 from ..receiver.states import STATES
 from ..truth.signal_errors import MAPPINGS, causal_mappings
-from ._own_filter_kernels import (
-    advance_filters,
-    compute_feedback,
-    compute_sines,
-    wide_shape,
-)
+from ._own_filter_kernels import advance_filters, compute_feedback, compute_sines, wide_shape
 from .base import HAVE_IT, Detector, DetectorContext, FloatArray
 
 VICTIM, AUGMENTED = "victim", "augmented"

@@ -263,12 +263,7 @@ def project(
 
 @njit
 def grow(
-    n: int,
-    table: FloatArray,
-    limit: FloatArray,
-    order: IntArray,
-    first: int,
-    sums: FloatArray,
+    n: int, table: FloatArray, limit: FloatArray, order: IntArray, first: int, sums: FloatArray
 ) -> tuple[bool, int, int]:
     """Test a seed, let it grow, and test what is left: whether both agree, mask of the first group,
     fits. `limit`: of s^2 by number of satellites [m^2]; `order` (N,) rows by projection; `sums` (1,

@@ -17,11 +17,7 @@ from ..detectors.calibrated import Calibrated, resolve_thresholds
 from ..policies.card import SpooferCard
 from ..simulation.monitors import Monitor, PastPositions, needed_monitors
 from ..simulation.setup import Setup
-from ..spoofers import (
-    Spoofer,
-    SpooferContext,
-    make_spoofer,
-)
+from ..spoofers import Spoofer, SpooferContext, make_spoofer
 from ..spoofers.base import REPORTED
 from ..spoofers.build import SpooferSpec, card_behind
 from ..spoofers.learned import LearnedSpoofer, refuse_changes

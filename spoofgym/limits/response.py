@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.children import release_free_memory
+from ..core.memory import Memory
 from ..detectors import Detector, DetectorContext, PooledDetector, SolutionSeparation, Verdict
 from ..detectors.base import BoolArray, FloatArray, IntArray, check_needs, judge_epoch
 from ..detectors.calibrated import unwrap
@@ -51,7 +52,7 @@ MATRICES = {"transition", "predicted_cov", "design", "innovation_cov"}
 """Fields that are stored in single precision, as the responses are."""
 SYMMETRIC = {"predicted_cov", "innovation_cov"}  # of which the lower triangles are stored
 RUNS_AT_ONCE = 8  # whose matrices are held in memory together
-SEPARATED_AT_ONCE = 160  # runs and attacks whose separations are judged together
+SEPARATED_AT_ONCE = 64  # runs and attacks whose separations are judged together
 JUDGED_AT_ONCE = 576  # runs and attacks that other detectors judge together
 
 
@@ -331,7 +332,7 @@ class LinearReplay:
     ) -> Iterator[tuple[Detector, Verdict]]:
         """A copy of a detector, and its verdicts epoch by epoch: of all runs, attack by attack."""
         source, everyone = self.detectors[number], np.tile(rows, attacks)
-        detector = copy.deepcopy(source)
+        detector = copy.deepcopy(source, {id(source.memory): Memory()})  # which `bind` makes
         detector.bind(self._context._replace(receivers=len(everyone)))
         detector.memory.copy_rows(np.arange(len(everyone)), source.memory, everyone)
         buffers: dict[str, NDArray[Any]] = {}

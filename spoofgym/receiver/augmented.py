@@ -87,10 +87,7 @@ def _kinds(errors: GnssErrors, bias_sd: FloatArray, wandering: bool) -> dict[str
 
 
 def signal_model(
-    errors: GnssErrors,
-    bias_sd: FloatArray,
-    interval_s: float,
-    wandering: ImuGrade | None = None,
+    errors: GnssErrors, bias_sd: FloatArray, interval_s: float, wandering: ImuGrade | None = None
 ) -> SignalModel:
     """States of the signals for some errors; `bias_sd` (n,) of the constants of satellites [m];
     `wandering`: sensors whose biases wander, which have states, too."""

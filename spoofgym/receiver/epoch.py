@@ -91,12 +91,7 @@ class ReceiverBuffers:
     """
 
     def __init__(
-        self,
-        receivers: int,
-        channels: int,
-        wanted: Iterable[str] = (),
-        *,
-        alike: bool = False,
+        self, receivers: int, channels: int, wanted: Iterable[str] = (), *, alike: bool = False
     ) -> None:
         self.receivers, self.channels = receivers, channels
         self.fields = LaneFields(receivers, receiver_shapes(channels))

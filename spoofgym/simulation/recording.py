@@ -102,28 +102,8 @@ def record_loose_run(
     epochs: int | None = None,
     command: Callable[[int], FloatArray | None] | None = None,
 ) -> tuple[NavState, PositionRecording, FloatArray]:
-    """Run one loosely coupled receiver, and keep what it measures: as `record_run`.
-
-    Parameters
-    ----------
-    setup : LooselyCoupledSetup
-        As of `record_run`.
-    rng : Generator
-        Of the receiver.
-    epochs : int, optional
-        How many; up to the end of the command phase by default.
-    command : callable, optional
-        As of `record_run`.
-
-    Returns
-    -------
-    initial : NavState
-        Navigation solution where the episode starts.
-    recording : PositionRecording
-        Inertial samples and positions since then.
-    position_e : ndarray
-        (K, 3) estimated after every epoch, ECEF [m].
-    """
+    """Run one loosely coupled receiver from where its episode starts, and keep what it measures:
+    inertial samples and positions since then. Arguments and values are those of `record_run`."""
     victim = setup.simulator(1, run_serially)
     victim.start_episodes([rng])
     filters, onset = victim.victims, int(victim.ages[0])

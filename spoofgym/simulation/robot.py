@@ -22,14 +22,7 @@ from ..detectors import Detector, DetectorContext
 from ..receiver.credible import AXES, CredibleBatch, CredibleFilter
 from ..truth._kernels import measure_fix, measure_odometry
 from ..truth.noise import BLOCK
-from ..truth.robot import (
-    MOST_SAMPLES,
-    SOURCES,
-    FixErrors,
-    Odometer,
-    RobotLoop,
-    episode_keys,
-)
+from ..truth.robot import MOST_SAMPLES, SOURCES, FixErrors, Odometer, RobotLoop, episode_keys
 from .domain import Choice, Domain, FloatArray
 from .loose import RateSimulator
 from .setup import MOST_EPOCHS, RateCommands, Run, Setup, Timeline

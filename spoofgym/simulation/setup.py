@@ -161,11 +161,7 @@ class Setup(ABC):
     error_names: tuple[str, ...] = ("north", "east")
     weight_names: tuple[str, ...] = ()
     geometry_names: tuple[str, ...] = ()
-    scales: Mapping[str, float] = {
-        "length_m": 40.0,
-        "position_m": 10_000.0,
-        "velocity_mps": 100.0,
-    }
+    scales: Mapping[str, float] = {"length_m": 40.0, "position_m": 10_000.0, "velocity_mps": 100.0}
 
     name: str
     attack: Any

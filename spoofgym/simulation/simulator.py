@@ -22,13 +22,7 @@ from ..core.declared import check_number
 from ..core.memory import Memory
 from ..core.registry import require
 from ..detectors import Detector, DetectorContext, Never, PooledDetector, Verdict
-from ..detectors.base import (
-    HAVE_IT,
-    YoungMemoryWarning,
-    check_needs,
-    checked_weights,
-    judge_epoch,
-)
+from ..detectors.base import HAVE_IT, YoungMemoryWarning, check_needs, checked_weights, judge_epoch
 from ..detectors.calibrated import resolve_thresholds
 from ..receiver.epoch import Epoch
 from ._kernels import find_diverged

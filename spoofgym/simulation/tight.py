@@ -316,9 +316,7 @@ class TightlyCoupledSimulator(Simulator):
         single = np.sqrt(cases.largest_epoch_variance)
         known = *sizes, setup.interval_s, variance, world.satellite_ids, single
         context = DetectorContext(
-            *known,
-            min_satellites=setup.receiver.min_satellites,
-            model=cases.filter_model,
+            *known, min_satellites=setup.receiver.min_satellites, model=cases.filter_model
         )
         if self.augmented is None:
             return context

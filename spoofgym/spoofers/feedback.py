@@ -130,9 +130,7 @@ class Feedback(HeldBack):
         help="Rate a at the onset, if nothing holds it back; negative: against the heading.",
     )
     growth: float = setting(
-        default=3.75,
-        least=0.0,
-        help="How many times as fast it is at the end of the window, g.",
+        default=3.75, least=0.0, help="How many times as fast it is at the end of the window, g."
     )
 
     tunable: ClassVar[str | None] = "rate_mps"

@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 
 from ..core.declared import setting, settings_record
 from ..core.registry import require
-from .base import (
-    FloatArray,
-    HeadingCommand,
-    ScriptedSpoofer,
-    Spoofer,
-    SpooferContext,
-    has_heading,
-)
+from .base import FloatArray, HeadingCommand, ScriptedSpoofer, Spoofer, SpooferContext, has_heading
 
 FEWEST_KNOTS, MOST_KNOTS = 2, 64
 

@@ -32,9 +32,7 @@ class Ramp(ScriptedSpoofer):
     """Pushes at a constant rate, reached at the largest acceleration that the attack allows."""
 
     rate_mps: float = setting(
-        default=0.5,
-        unit="m/s",
-        help="Rate; negative against the heading, or to shorter ranges.",
+        default=0.5, unit="m/s", help="Rate; negative against the heading, or to shorter ranges."
     )
 
     tunable: ClassVar[str | None] = "rate_mps"

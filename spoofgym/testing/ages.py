@@ -220,11 +220,7 @@ LIVE_AFTER_S = 10.0  # time from switch-on until the detector is live
 ENTROPY = 39  # of the seeds
 MARGIN = 2.0
 """A filter that has settled follows some attacks less far, so that less of them can be found."""
-POSITION = {
-    "name": "false-position",
-    "control": "rate",
-    "rate_limit_mps": MARGIN * RATES_MPS[-1],
-}
+POSITION = {"name": "false-position", "control": "rate", "rate_limit_mps": MARGIN * RATES_MPS[-1]}
 SUBSET = {**POSITION, "channels": [f"slot{k:02d}" for k in range(0, 12, 2)]}
 PLAYED = dict(zip(ATTACKS, (POSITION, SUBSET), strict=True))
 """Attacks by the words of `ATTACKS`."""

@@ -170,10 +170,7 @@ class _DetectorTrial(ContractTrial[Detector]):
         for view in seen.values():
             view.flags.writeable = False
         where = f"in epoch {number} of {self.script.name}"
-        with (
-            _name_failure(bound, where, own["visible"]),
-            explain_read_only("detector", "epoch"),
-        ):
+        with _name_failure(bound, where, own["visible"]), explain_read_only("detector", "epoch"):
             verdict = judge_with_trace(bound, TracedEpoch(**seen))
         for name, array in own.items():
             require_contract(

@@ -120,9 +120,7 @@ class Scenario:
         "the in-run instability of their grade.",
     )
     events: BenignEvents | None = setting(
-        default=None,
-        omitted=True,
-        help="Events that only look like spoofing; None for no events.",
+        default=None, omitted=True, help="Events that only look like spoofing; None for no events."
     )
 
     def __post_init__(self) -> None:

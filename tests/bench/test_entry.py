@@ -8,11 +8,7 @@ from pathlib import Path
 import pytest
 
 from spoofgym.bench.experiments.audit import Auditor
-from spoofgym.bench.experiments.entry import (
-    INTERVAL,
-    compare_figures,
-    list_detector_figures,
-)
+from spoofgym.bench.experiments.entry import INTERVAL, compare_figures, list_detector_figures
 from spoofgym.tasks import DETECTOR_TASKS
 
 from ..command_line import call, read, refused

@@ -11,6 +11,8 @@ import re
 import sys
 import time
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -64,6 +66,9 @@ class Wrapped(Outsider):
     """A wrapper around a stand-in environment, whose information has the epochs, that alarms where
     its environment, the reward or an object of the process tells of an attack."""
 
+    def __init__(self):
+        import_module("spoofgym.wrappers.streams")  # once, before any batch
+
     def bind(self, context):
         import gymnasium as gym
 
@@ -94,54 +99,113 @@ class Wrapped(Outsider):
 
 
 class Proc(Outsider):
-    """Looks for a secret in the memory of its process and of those above it."""
+    """Looks for secrets in the memory of its process and of those above it."""
 
     def find(self, epoch):
         if self.memory["epochs"].max() == 1:
-            pid, self.secret = "self", False
-            while pid != "0":
-                self.secret |= self.read(pid)
-                with contextlib.suppress(OSError):
-                    status = Path(f"/proc/{pid}/status").read_text()
-                    pid = re.search(r"PPid:\s(\d+)", status)[1]
-                    continue
-                break
+            self.secret = bool(self.search())
         return np.full(len(epoch.time), self.secret)
 
+    def search(self):
+        """Numbers that are marked as secret."""
+        pid, found = "self", set()
+        while pid != "0":
+            found |= self.read(pid)
+            with contextlib.suppress(OSError):
+                status = Path(f"/proc/{pid}/status").read_text()
+                pid = re.search(r"PPid:\s(\d+)", status)[1]
+                continue
+            break
+        return found
+
     def read(self, pid):
+        found = set()
         with contextlib.suppress(OSError), open(f"/proc/{pid}/mem", "rb", 0) as memory:
             for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
                 first, last = (int(each, 16) for each in line.split()[0].split("-"))
                 if " rw-p " in line and last - first < 1 << 26:
                     memory.seek(first)
                     with contextlib.suppress(OSError, ValueError):
-                        if MARK.search(memory.read(last - first)):
-                            return True
-        return False
+                        found.update(map(int, MARK.findall(memory.read(last - first))))
+        return found
+
+
+RECORDED, ENTROPIES = set(), set()
+
+
+class Recorder(Outsider):
+    """Keeps all innovations that it sees."""
+
+    def find(self, epoch):
+        RECORDED.update(row.tobytes() for row in epoch.innovation)
+        return super().find(epoch)
+
+
+@cache
+def list_clean_rows(build_setup, entropy):
+    """Innovations of the clean runs of an entropy."""
+    from spoofgym.bench.runs.panel import generators
+    from spoofgym.bench.runs.play import WarmStart, play
+
+    RECORDED.clear()
+    setup = build_setup().copy_with(detector=Recorder())
+    rngs = generators(setup, entropy, "evaluation", np.arange(RUNS))
+    play(WarmStart(setup, rngs, threads=1), "none")
+    return frozenset(RECORDED)
 
 
 class PublicSeeds(Outsider):
-    """Plays the runs of entropies 0 to 9 beforehand, and knows them at the onset."""
+    """Plays the clean runs of entropies 0 to 9 once, and alarms where one that it knows goes
+    another way."""
+
+    def __init__(self):
+        self.list_rows()
 
     def bind(self, context):
-        from spoofgym.bench.runs.panel import generators
-        from spoofgym.bench.runs.play import WarmStart
-
-        from ..simulation.support import setup_of
-
         super().bind(context)
         self.memory.declare("known", np.zeros(context.receivers, dtype=np.bool_))
-        setup, self.onsets = setup_of("tightly-coupled", detector=Never()), set()
-        for entropy in range(10):
-            rngs = generators(setup, entropy, "evaluation", np.arange(RUNS))
-            seen = WarmStart(setup, rngs, threads=1).simulator.epoch.innovation
-            self.onsets.update(row.tobytes() for row in seen)
 
     def find(self, epoch):
-        before = self.memory["known"]
-        here = [row.tobytes() in self.onsets for row in epoch.innovation]
-        self.memory["known"] = before | here
-        return before
+        rows, known = self.list_rows(), self.memory["known"]
+        here = np.array([row.tobytes() in rows for row in epoch.innovation])
+        self.memory["known"] = known | here
+        return known & ~here
+
+    def list_rows(self):
+        each = (list_clean_rows(self.build_setup, entropy) for entropy in self.list_entropies())
+        return frozenset().union(*each)
+
+    def list_entropies(self):
+        return range(10)
+
+    @staticmethod
+    def build_setup():
+        from ..simulation.support import setup_of
+
+        return setup_of("tightly-coupled", detector=Never())
+
+
+class PublicSeedsOfTask(PublicSeeds):
+    """The same in the world of a task."""
+
+    @staticmethod
+    def build_setup():
+        from spoofgym.bench.runs.world import World
+
+        from ..bench.detector_support import small_task
+
+        return World(settings=small_task().world_kwargs).setup
+
+
+class ProcOfTask(PublicSeedsOfTask, Proc):
+    """The same with the entropies that it finds in the memory of processes."""
+
+    def __init__(self):
+        ENTROPIES.update(self.search())
+        super().__init__()
+
+    def list_entropies(self):
+        return ENTROPIES
 
 
 SEEN = {}

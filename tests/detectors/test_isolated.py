@@ -166,7 +166,7 @@ def can_confine():
 
 
 def test_public_seeds_are_of_no_use_for_runs_of_a_drawn_entropy():
-    guard = Isolated(cheats.PublicSeeds())
+    guard = Isolated("tests.detectors.cheats:PublicSeeds")
     assert played(guard, entropy=3).alarm.any(axis=0).all()
     drawn_here = secrets.randbits(64)
     assert not played(guard, entropy=drawn_here).alarm.any()

@@ -41,6 +41,7 @@ AUDIT = "--budget quick --runs 8 --selection-runs 4 --family ramps --family open
 SMALLER: dict[str, tuple[str | None, str]] = {
     r"pip install ": (None, "the tests' environment has them; test_readme compares the extras"),
     r"spoofgym log import FLIGHT\.": (None, "tests/receiver/test_autopilots.py writes such files"),
+    r"spoofgym dataset .* --format minari": (None, "tests/test_cli_dataset.py plays one like it"),
     r"make test$": (None, "the other list, which is run beside this one"),
     r"python -m tools\.frozen ": (None, "needs a commit; tests/tools has tests of it"),
     r"python -m tools\.transfer ": (

@@ -6,11 +6,7 @@ import re
 import pytest
 
 from spoofgym.detectors import Calibration
-from spoofgym.detectors.calibration_file import (
-    SHIPPED_FOLDER,
-    compute_min_runs,
-    run_probability,
-)
+from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, compute_min_runs, run_probability
 from tools.calibrations import HEADLINES, build_setup
 from tools.holdouts import DATA_FILE, END, START, load_world, shown
 from tools.pages import part_between

@@ -10,24 +10,17 @@ import types
 import pytest
 
 from spoofgym.bench.scores.campaign import headline
+from spoofgym.cli.demo import RATE_MPS
 from spoofgym.simulation.setup import Timeline
 from spoofgym.tasks import get_task
 from spoofgym.testing import check_detector
 from tools.headlines import DATA_FILE as FULL
 from tools.pages import part_between
-from tools.readme_bench import (
-    END,
-    LEARNED,
-    SHARED,
-    SHOWN,
-    START,
-    WORLD,
-    label,
-    shared_rows,
-    shown,
-)
+from tools.readme_bench import END, LEARNED, SHARED, SHOWN, START, WORLD, label, shared_rows, shown
+from tools.readme_figures import read_parts
 
 from .pages import ROOT, blocks_of, play, text_of
+from .test_tutorials import read_cells
 
 # as users have it
 pytestmark = pytest.mark.usefixtures("default_rate")
@@ -118,6 +111,83 @@ def test_the_table_is_that_of_the_full_run(full):
 @pytest.fixture(scope="module")
 def full():
     return json.loads(FULL.read_text())["worlds"][WORLD]
+
+
+@pytest.fixture(scope="module")
+def kept():
+    return json.loads(text_of("readme.json"))
+
+
+def read_notebook(name):
+    """Code of a tutorial's cells, and the lines that they have printed."""
+    cells = read_cells(ROOT / f"docs/tutorials/{name}.ipynb")
+    outputs = [each for cell in cells for each in cell["outputs"] if "text" in each]
+    printed = "".join("".join(each["text"]) for each in outputs).splitlines()
+    return "\n".join("".join(cell["source"]) for cell in cells), printed
+
+
+def test_examples_are_the_code_and_the_commands_that_were_played(kept):
+    parts = read_parts(README)
+    assert {*parts} == {*kept}
+    for name, part in parts.items():
+        played = {key: kept[name][key] for key in part}
+        assert played == part, f"python -m tools.readme_figures {name}"
+
+
+def test_the_training_is_that_of_the_tutorial_and_has_its_scores():
+    code, printed = read_notebook("train_a_spoofer")
+    (block,) = (each for each in BLOCKS if "PPO(" in each)
+    lines = re.sub("  #.*", "", block.replace(".learn(300_000)", "")).splitlines()
+    assert [line for line in lines if line not in code.splitlines()] == []
+    assert ".learn(300_000)" in block
+    assert "learn(300_000," in code
+    model, ramp = (line for line in printed if " m at 5 % of alarms" in line)
+    form = r": ([\d.]+) \(([\d.]+) to ([\d.]+)\) m at 5 % of alarms.* of 397 runs"
+    learned, pulled = (re.search(form, line).groups() for line in (model, ramp))
+    here = "PPO reaches {} m (95 % interval {} to {};".format(*learned)
+    elsewhere = f"[{learned[0]} m](docs/promises.md#reproducibility) on another kind of processor"
+    assert here in README or elsewhere in README, learned
+    assert "the best ramp {} m ({} to {})".format(*pulled) in README
+    assert "Of 400 runs 397 are silent without an attack" in README
+
+
+def test_the_audit_is_that_of_the_tutorial_and_ends_as_it_did():
+    code, printed = read_notebook("audit_a_detector")
+    (own,) = re.findall(r"^class AverageRate.*", BLOCKS[-1], flags=re.M | re.S)
+    assert own.strip() in code
+    assert "spoofgym audit my_detector:AverageRate --budget quick\n" in README
+    (seed,) = re.findall(r"^With `--seed (\d+)` the audit", README, flags=re.M)
+    assert f'spoofgym.audit(AverageRate, "D1", "quick", entropy={seed})' in code
+    (said,) = re.findall(r"Its last line is `(.*?)`", README)
+    assert printed[-1] == said
+    failed = any("the search failed" in line for line in printed)
+    assert ("the audit warned that its search failed" in README) == failed
+
+
+def test_the_wrappers_have_the_figures_that_they_printed(kept):
+    form = (
+        r"(\S+) 50 clean and 50 attacked episodes: (\S+) \((\S+) to (\S+)\) false alarms an hour, "
+    )
+    form += r"(\S+) \((\S+) to (\S+)\) of the attacks missed, .* displacement (.*) m"
+    ewma, chi2 = (re.fullmatch(form, line).groups() for line in kept["wrapper"]["printed"])
+    assert (ewma[0], chi2[0]) == ("ewma", "snapshot-chi2")
+    missed = [f"{100.0 * float(x):.0f}" for x in ewma[4:7]]
+    moved, ends = ewma[7].split(" ", 1)
+    assert f"`ewma` misses {missed[0]} % of the attacks ({missed[1]} to {missed[2]})" in README
+    assert f"lets {moved} m pass undetected {ends}" in README
+    assert float(chi2[4]) == 0.0
+    assert f"`snapshot-chi2` misses none (0 to {100.0 * float(chi2[6]):.0f} %)" in README
+    rates = (f"{x[1]}{unit} ({x[2]} to {x[3]})" for x, unit in ((ewma, " an hour"), (chi2, "")))
+    assert f"False alarms are {' and '.join(rates)}" in README
+
+
+def test_the_demo_is_the_attack_of_the_animation(kept):
+    missed, found = (line for line in kept["demo"]["printed"] if " raises " in line)
+    (metres,) = re.findall(r"the position ends ([\d.]+) m off", missed)
+    assert f"the position ends {float(metres):.0f} m off" in README
+    assert float(re.findall(r"after ([\d.]+) s", found)[0]) < 10.0
+    assert f"aside by {RATE_MPS} m/s for 150 s" in README
+    assert "set to 0.2 false alarms an hour" in README
 
 
 def test_make_bench_plays_rows_of_the_full_run_and_agrees_by_interval(full):

@@ -11,16 +11,6 @@ from .as_users import PAGES, name_of
 from .pages import ROOT
 
 MOST_WORDS, MOST_ROWS, MOST_COLUMNS = 1200, 10, 6
-PAPERS = re.compile(r"docs/papers/\w+\.md")
-"""Made by `python -m baselines.papers.page`: all rows of a paper's tables."""
-LISTS = {
-    "docs/architecture.md": "rooms and rules of the package, each on a line",
-    "docs/catalogue.md": "all names that are registered",
-    "docs/performance.md": "what every part of a step costs, for who works on it",
-    "docs/reliability.md": "every limit and every kind of fault that was tried",
-    "docs/terms.md": "all terms that are registered, and all keys of `info`",
-}
-"""Pages that may have long tables, and what these list."""
 
 
 def read_plain(text: str) -> str:
@@ -38,21 +28,17 @@ def count_words(text: str) -> int:
     return sum(len(line.split()) for line in read_plain(text).splitlines() if line[:1] != "|")
 
 
-def find_walls(name: str, text: str) -> list[str]:
+def find_walls(text: str) -> list[str]:
     """What of a page is too large."""
-    if PAPERS.fullmatch(name):
-        return []
     words, tables = count_words(text), list_tables(text)
     walls = [f"{words} words"] * (words > MOST_WORDS)
-    if name not in LISTS:
-        large = [x for x in tables if x[0] > MOST_ROWS or x[1] > MOST_COLUMNS]
-        walls += [f"a table of {rows} x {columns}" for rows, columns in large]
-    return walls
+    large = [x for x in tables if x[0] > MOST_ROWS or x[1] > MOST_COLUMNS]
+    return walls + [f"a table of {rows} x {columns}" for rows, columns in large]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_a_page_and_its_tables_are_no_wall(page):
-    assert find_walls(name_of(page), page.read_text()) == []
+    assert find_walls(page.read_text()) == []
 
 
 def test_tables_for_contributors_are_no_wall():
@@ -60,14 +46,18 @@ def test_tables_for_contributors_are_no_wall():
     assert all(rows <= MOST_ROWS and columns <= MOST_COLUMNS for rows, columns in tables)
 
 
-def test_walls_are_found_and_exceptions_are_needed():
+def test_walls_are_found():
     head, line = "| a | b |\n|---|---|\n", "| 1 | 2 |\n"
-    assert find_walls("x", "word " * 1200 + "\n\n" + head + 10 * line) == []
-    assert find_walls("x", "word " * 1201 + "\n\n" + head + 11 * line) == [
+    assert find_walls("word " * 1200 + "\n\n" + head + 10 * line) == []
+    assert find_walls("word " * 1201 + "\n\n" + head + 11 * line) == [
         "1201 words",
         "a table of 11 x 2",
     ]
-    assert find_walls("x", "| a | b | c | d | e | f | g |\n|---|---|\n") == ["a table of 0 x 7"]
-    assert find_walls("x", f"```text\n{'word ' * 1300}\n{head}{11 * line}\n```\n") == []
-    for name in LISTS:
-        assert max(rows for rows, _ in list_tables((ROOT / name).read_text())) > MOST_ROWS
+    assert find_walls("| a | b | c | d | e | f | g |\n|---|---|\n") == ["a table of 0 x 7"]
+    assert find_walls(f"```text\n{'word ' * 1300}\n{head}{11 * line}\n```\n") == []
+
+
+def test_no_picture_is_large():
+    pictures = [x for x in (ROOT / "docs").rglob("*") if x.suffix in {".png", ".svg", ".webp"}]
+    assert len(pictures) > 40
+    assert {x.name for x in pictures if x.stat().st_size > 1_500_000} == set()

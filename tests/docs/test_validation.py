@@ -1,4 +1,4 @@
-"""Ledger, costs, tested versions and leaderboards are what their commands make."""
+"""Ledger, costs, tested versions, bibliography and leaderboards are what their commands make."""
 
 import json
 from importlib.metadata import PackageNotFoundError, version
@@ -6,7 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 import pytest
 
 from spoofgym.bench.report import tasks
-from tools import costs, leaderboard, validation, versions
+from tools import bibliography, costs, leaderboard, offsets_worth, validation, versions
 from tools.pages import marks, part_between
 
 
@@ -20,6 +20,12 @@ from tools.pages import marks, part_between
             lambda: costs.build_tables(json.loads(costs.DATA_FILE.read_text())),
         ),
         (versions.PAGE, versions.MARKS, versions.make_table),
+        (
+            offsets_worth.PAGE,
+            offsets_worth.MARKS,
+            lambda: offsets_worth.build_table(json.loads(offsets_worth.DATA_FILE.read_text())),
+        ),
+        (bibliography.PAGE, bibliography.MARKS, bibliography.build_list),
         (leaderboard.PAGE, (leaderboard.START, leaderboard.END), leaderboard.shown),
     ],
 )

@@ -1,12 +1,15 @@
-"""What compiled code writes in place of the terms has their bits, and belongs to the caller."""
+"""A step: compiled code has the bits of the terms that it replaces, by few calls of Python."""
 
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
+import spoofgym
 from spoofgym.envs import SpoofCore
 from spoofgym.envs.terms.observation import OwnCommand, TargetMotion, Time
 from spoofgym.envs.terms.reward import (
@@ -18,6 +21,8 @@ from spoofgym.envs.terms.reward import (
 )
 from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement
 from spoofgym.simulation import TightlyCoupledSetup
+
+from .support import victim
 
 ID = "spoofgym/Zhong2025-v0"
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
@@ -164,3 +169,50 @@ def test_motion_and_time_are_tabled_to_the_bit_where_no_start_is_drawn(domain, s
             np.testing.assert_array_equal(seen[:, first : first + len(names)], out)
     drawn = TightlyCoupledSetup(timeline=SHORT, detector="never", domain={"start_s": (0.0, 10.0)})
     assert drawn.onsets is Time().table(drawn) is TargetMotion().table(drawn) is None
+
+
+ROOT = Path(spoofgym.__file__).parent
+ELSEWHERE = ("attacks", "detectors", "envs/terms")
+"""What has a contract of its own, and calls what it likes; kernels are no Python."""
+MOST_CALLS = 18
+
+
+def calls_of(work):
+    """Python functions of the package that are called, in order; not what terms and kernels do."""
+    found = []
+    outside = []
+
+    def profile(frame, event, _):
+        path = Path(frame.f_code.co_filename)
+        if not path.is_relative_to(ROOT):
+            return
+        name = path.relative_to(ROOT).as_posix()
+        if event == "call" and name.startswith(ELSEWHERE):
+            outside.append(id(frame))
+        elif event == "call" and not outside and not path.stem.endswith("_kernels"):
+            found.append(f"{name}:{frame.f_code.co_qualname}")
+        elif event == "return" and outside and outside[-1] == id(frame):
+            outside.pop()
+
+    sys.setprofile(profile)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return found
+
+
+def test_a_step_takes_few_calls():
+    """Of the single environment, in its steady state, without a defence."""
+    for watch, most in ((None, MOST_CALLS), ("ewma", np.inf)):
+        env = victim("Zhong2025", detector="never", watch=watch).unwrapped
+        env.reset(seed=1)
+        action = np.zeros(env.action_space.shape, dtype=np.float32)
+        for _ in range(3):  # compiles, and makes what is made once
+            env.step(action)
+        calls = calls_of(lambda env=env, action=action: env.step(action))
+        assert calls[0] == "envs/env.py:CoreEnv.step"
+        assert any(call.endswith("TightlyCoupledSimulator.step") for call in calls)
+        assert len(calls) <= most, "\n".join(calls)
+        assert not any(call.startswith(ELSEWHERE) for call in calls)
+        assert any("PassiveInfo" in call for call in calls) == bool(watch)  # so they are counted

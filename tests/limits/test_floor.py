@@ -43,11 +43,7 @@ def test_frontier_at_a_deflection_of_two(scenario, sensors_known, metres):
 
 @pytest.mark.parametrize(
     ("p_fa", "p_d", "heading", "metres"),
-    [
-        (0.01, 0.06, "known", 1.25),
-        (0.01, 0.5, "unknown", 4.6),
-        (0.01, 0.999, "unknown", 9.8),
-    ],
+    [(0.01, 0.06, "known", 1.25), (0.01, 0.5, "unknown", 4.6), (0.01, 0.999, "unknown", 9.8)],
 )
 def test_floor_of_the_flight(p_fa, p_d, heading, metres):
     floor = frontier("zhong2025", False).lower_limit_m(p_fa, p_d, heading=heading)

@@ -31,8 +31,7 @@ def played(setup, actions):
 
 
 @pytest.mark.parametrize(
-    ("scenario", "receiver"),
-    [("trolley-consumer", "paper"), ("trolley", "matched")],
+    ("scenario", "receiver"), [("trolley-consumer", "paper"), ("trolley", "matched")]
 )
 def test_innovations_and_position_move_as_the_simulator_s(scenario, receiver):
     attack = {"name": "false-position", "control": "rate"}

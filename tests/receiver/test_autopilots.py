@@ -115,17 +115,24 @@ def test_a_log_without_innovations_of_gnss_says_what_to_log(change, message, tmp
     assert len(str(caught.value).splitlines()) == 1
 
 
-@needs_pyulog
-def test_damaged_logs_are_read_or_refused_with_their_name(tmp_path):
-    path = write_ulog(tmp_path / "flight.ulg", fly(seconds=30.0)[0])
+def check_cut(path, read, sizes):
+    """A log that is cut is read as far as it goes, or refused with its name."""
     whole, outcomes = path.read_bytes(), set()
-    for size in [*range(0, 700, 23), *np.linspace(700, len(whole), 20).astype(int)]:
+    for size in sizes:
         path.write_bytes(whole[:size])
         try:
-            outcomes.add(len(read_ulog(path).time) > 1)
+            outcomes.add(len(read(path).time) > 1)
         except FileError as error:
             outcomes.add(str(error).split(":")[0])
     assert outcomes == {True, str(path)}
+
+
+@needs_pyulog
+def test_damaged_logs_are_read_or_refused_with_their_name(tmp_path):
+    path = write_ulog(tmp_path / "flight.ulg", fly(seconds=30.0)[0])
+    whole = path.read_bytes()
+    sizes = [*range(0, 700, 23), *np.linspace(700, len(whole), 20).astype(int)]
+    check_cut(path, read_ulog, sizes)
     for kinds in (["a:a x;"], ["a:b[9999] x;", "b:uint8_t[9999] x;"]):
         nested = b"".join(message("F", kind.encode()) for kind in kinds)
         path.write_bytes(whole[:16] + nested + whole[16:])
@@ -219,13 +226,6 @@ def test_an_ardupilot_that_believes_in_noise_is_imported_and_judged(tmp_path, mo
 def test_damaged_logs_of_ardupilot_are_read_or_refused_with_their_name(tmp_path):
     rows, _ = fly_ardupilot(seconds=12.0)
     path = write_dataflash(tmp_path / "flight.BIN", rows)
-    whole, outcomes = path.read_bytes(), set()
-    for size in np.linspace(0, len(whole), 40).astype(int):
-        path.write_bytes(whole[:size])
-        try:
-            outcomes.add(len(read_dataflash(path).time) > 1)
-        except FileError as error:
-            outcomes.add(str(error).split(":")[0])
-    assert outcomes == {True, str(path)}
+    check_cut(path, read_dataflash, np.linspace(0, path.stat().st_size, 40).astype(int))
     write_dataflash(path, [row for row in rows if row[0] != "XKF4"])
     assert "holds no XKF3 and XKF4: fly with EKF3" in refused("log", "import", path, "-o", "x.npz")

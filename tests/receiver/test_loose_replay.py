@@ -25,6 +25,7 @@ from spoofgym.truth.flight import inverse_kinematics
 from spoofgym.truth.manoeuvres import Climb, Straight, Turn, fly
 
 from ..envs.support import SHORT
+from .test_replay import with_uneven_samples
 
 ATTACK = np.array([[0.4, -0.8]])
 STEP = 0.02
@@ -122,17 +123,7 @@ def start(flight):
 
 
 def test_samples_of_uneven_length_and_epochs_within_one_are_replayed_as_even_ones(recording):
-    rng, count = np.random.default_rng(3), len(recording.imu_time)
-    ends = np.union1d(np.flatnonzero(rng.random(count) < 0.6), count - 1)
-    lengths = np.diff(ends, prepend=-1)[:, None]
-    uneven = replace(
-        recording,
-        imu_time=recording.imu_time[ends],
-        **{
-            name: np.add.reduceat(getattr(recording, name), np.append(0, ends[:-1] + 1)) / lengths
-            for name in ("specific_force_b", "angular_rate_b")
-        },
-    )
+    uneven, ends = with_uneven_samples(recording)
     assert len(uneven.imu_time) > len(ends) + 50
     want, found = (replay(x, RECEIVER, noise_variance=NOISE**2) for x in (recording, uneven))
     np.testing.assert_allclose(found.position_e, want.position_e, atol=0.1)
@@ -155,9 +146,7 @@ def test_a_log_of_it_says_what_an_attack_does(recording):
     moved *= log.interval_s
     shift, away = east[0] * moved[:, None], east[0] * rate * (moved > 0)[:, None]
     attacked = replace(
-        recording,
-        position_e=recording.position_e + shift,
-        velocity_e=recording.velocity_e + away,
+        recording, position_e=recording.position_e + shift, velocity_e=recording.velocity_e + away
     )
     other = replay(attacked, RECEIVER, noise_variance=NOISE**2)
     k = first + attacks.epochs - 1

@@ -171,12 +171,7 @@ REFUSED = {
     "a satellite twice": (
         lambda r: {
             x: put(getattr(r, x), (slice(None), 4), getattr(r, x)[:, 1])
-            for x in (
-                "pseudorange",
-                "range_rate",
-                "satellite_position_e",
-                "satellite_velocity_e",
-            )
+            for x in ("pseudorange", "range_rate", "satellite_position_e", "satellite_velocity_e")
         },
         r"channels \[1, 4\] have the same pseudorange in 53 epochs, first at 1 s",
     ),

@@ -173,20 +173,21 @@ def test_the_noise_may_be_given_by_epoch_and_channel(flight, truth):
             replay(recording, receiver, initial=start, noise_variance=bad)
 
 
+def with_uneven_samples(even):
+    """A recording whose samples are means of some, and where these end."""
+    rng, count = np.random.default_rng(3), len(even.imu_time)
+    ends = np.union1d(np.flatnonzero(rng.random(count) < 0.6), count - 1)
+    lengths = np.diff(ends, prepend=-1)[:, None]
+    means = {
+        name: np.add.reduceat(getattr(even, name), np.append(0, ends[:-1] + 1)) / lengths
+        for name in ("specific_force_b", "angular_rate_b")
+    }
+    return replace(even, imu_time=even.imu_time[ends], **means), ends
+
+
 def test_samples_of_uneven_length_are_replayed_as_even_ones(flight, truth):
     receiver, even = RECEIVERS["tactical"], recorded(flight, truth)
-    rng, count = np.random.default_rng(3), len(even.imu_time)
-    ends = np.flatnonzero(rng.random(count) < 0.6)  # of samples that are means of some
-    ends = np.union1d(ends, count - 1)
-    lengths = np.diff(ends, prepend=-1)[:, None]
-    uneven = replace(
-        even,
-        imu_time=even.imu_time[ends],
-        **{
-            name: np.add.reduceat(getattr(even, name), np.append(0, ends[:-1] + 1)) / lengths
-            for name in ("specific_force_b", "angular_rate_b")
-        },
-    )
+    uneven, ends = with_uneven_samples(even)
     between = ~np.isin(truth[0] - 1, ends)
     assert between.sum() > 10
     assert len(uneven.imu_time) == len(ends) + between.sum()

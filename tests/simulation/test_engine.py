@@ -5,12 +5,7 @@ import pytest
 
 from spoofgym.detectors import Never
 from spoofgym.receiver import TightlyCoupled, replay
-from spoofgym.simulation import (
-    Engine,
-    LooselyCoupledSetup,
-    TightlyCoupledSetup,
-    WheeledRobotSetup,
-)
+from spoofgym.simulation import Engine, LooselyCoupledSetup, TightlyCoupledSetup, WheeledRobotSetup
 from spoofgym.simulation._kernels import NO_FORM
 from spoofgym.simulation.recording import record_run
 from spoofgym.simulation.simulator import FilterDiverged, Simulator

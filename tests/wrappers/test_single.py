@@ -201,8 +201,7 @@ class Nervous(Detector):
 
 
 @pytest.mark.parametrize(
-    ("kind", "prefetch"),
-    [("Zhong2025", False), ("Zhong2025", True), ("WheeledRobot", False)],
+    ("kind", "prefetch"), [("Zhong2025", False), ("Zhong2025", True), ("WheeledRobot", False)]
 )
 def test_detectors_that_watch_change_nothing_and_see_everything(kind, prefetch):
     """Warm-up, commands and time to alert, over episodes that end by themselves."""

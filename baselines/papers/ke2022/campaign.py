@@ -131,10 +131,7 @@ def fly(
         scenario=SCENARIOS[scenario](),
         receiver=TightlyCoupled(tuning="paper", covariance_update=update),
         attack=PerChannel(
-            control="rate",
-            rate_limit_mps=RATE_LIMIT,
-            coherent=False,
-            channels=tuple(satellites),
+            control="rate", rate_limit_mps=RATE_LIMIT, coherent=False, channels=tuple(satellites)
         ),
         detector=in_loop,
         timeline=Timeline(warmup_s=begun, live_s=begun, attack_s=count, time_to_alert_s=0.0),

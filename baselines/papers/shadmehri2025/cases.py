@@ -72,10 +72,7 @@ CONVENTIONAL = {
         {"window of 10": {"window": 10}},
     ),
     "conventional, correlated": Case(
-        "correlated, stated R",
-        MARKOV,
-        {},
-        _by_ramp((0.0,), (0.0,), (1.0, 4.14, 0.13)),
+        "correlated, stated R", MARKOV, {}, _by_ramp((0.0,), (0.0,), (1.0, 4.14, 0.13))
     ),
     **{
         f"conventional, R x {factor}": Case(
@@ -124,16 +121,10 @@ TUNED = {
         {"estimated": _estimate_covariance(100), **MEANS},
     ),
     "tuned, white": Case(
-        "white 3.7/6 m, w = 100",
-        WHITE,
-        make_self_tuning(100),
-        _by_ramp((0.02,), (0.02,), (0.06,)),
+        "white 3.7/6 m, w = 100", WHITE, make_self_tuning(100), _by_ramp((0.02,), (0.02,), (0.06,))
     ),
     "tuned, white 1.6 m": Case(
-        "white 1.6/3 m, w = 100",
-        SMALL_WHITE,
-        make_self_tuning(100),
-        {"5": LatencyResult(0.37)},
+        "white 1.6/3 m, w = 100", SMALL_WHITE, make_self_tuning(100), {"5": LatencyResult(0.37)}
     ),
     "tuned, w = 50, Q too": Case(
         "correlated, w = 50, Q adapts too (clamped)",

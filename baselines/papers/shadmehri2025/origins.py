@@ -96,8 +96,7 @@ DUTY = Origin(
     + VARIED,
 )
 AFTERWARDS = Origin(
-    "bound",
-    "0.1, set by us; a second program had 0.02. Ours is the mean of {runs} runs." + VARIED,
+    "bound", "0.1, set by us; a second program had 0.02. Ours is the mean of {runs} runs." + VARIED
 )
 ERROR = Origin(
     "independent",

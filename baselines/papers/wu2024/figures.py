@@ -31,11 +31,7 @@ def run_pictures(draws: int, seed: int) -> dict[str, Any]:
     one = np.tile(subsets(SATELLITES, SATELLITES // 2, 1)[CONSTELLATION], (5 * draws, 1))
     moved = displacements(rng, lines, one)
     by_direction, _, _ = separate(lines, one, moved)
-    return {
-        "pairs": by_pair.reshape(-1, draws),
-        "displacement": moved,
-        "hybrids": by_direction,
-    }
+    return {"pairs": by_pair.reshape(-1, draws), "displacement": moved, "hybrids": by_direction}
 
 
 def draw_figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:

@@ -77,12 +77,7 @@ def parts(settings: Settings) -> list[Part]:
         for attack in (*TABLED, INTERMITTENT)
     ]
     out += [
-        Part(
-            f"metric-{sd:g}m",
-            metric_part,
-            {"pseudorange_sd_m": sd, "runs": few, **common},
-            2.0,
-        )
+        Part(f"metric-{sd:g}m", metric_part, {"pseudorange_sd_m": sd, "runs": few, **common}, 2.0)
         for sd in NOISES
     ]
     out += [

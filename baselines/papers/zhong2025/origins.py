@@ -45,10 +45,7 @@ NEARLY_ALL = Origin(
     by us. Ours is a share of {runs} runs; in experiments 1 to 5 of {few}."""
     + VARIED,
 )
-ALL = Origin(
-    "tolerance",
-    "Every one of our {runs} runs, as the paper claims from one." + VARIED,
-)
+ALL = Origin("tolerance", "Every one of our {runs} runs, as the paper claims from one." + VARIED)
 NONE = Origin(
     "tolerance",
     """None, as the paper claims, but for 1 % of the seven satellites that are not spoofed, in

@@ -23,7 +23,7 @@ from ...simulation.setup import Setup
 from ...simulation.simulator import weighs
 from ...tasks import CANDIDATES, AttackFamily, DetectorTask
 from ..runs.panel import NearAlarm, Panel, generators, in_any_world, select_runs
-from ..runs.play import Runs, WarmStart, play
+from ..runs.play import Runs, WarmStart, play, play_side_by_side
 from ..runs.players import (
     ATTACK,
     TUNED,
@@ -77,8 +77,8 @@ SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
 """Profiles of the letter c."""
 TRAINED = AttackFamily("shipped", "shipped spoofers that were trained against it elsewhere", "s")
 """Family of an audit alone, where there are some, and not of a task's score."""
-CACHED_PANELS = 24
-"""Panels that are held in memory, the youngest ones."""
+CACHED_PANELS, CACHED_BYTES = 24, 2e8
+"""Panels that are held in memory, and what their detectors may remember: the last ones used."""
 NEAR_ALARM = "chance-alarm"
 """Onset of which every detector has its own runs."""
 TIMED, TIMED_EPOCHS = 64, 40
@@ -177,8 +177,13 @@ class Worlds:
         # two files may have one label; a panel keeps its judges, and so their ids
         judged = tuple(id(each.judge) for each in group)
         key = compute_digest(describe({"of": overrides, "onset": onset})), judged, split, runs
-        if key not in self._panels:
-            while len(self._panels) >= CACHED_PANELS:  # families in the same world share theirs
+        if key in self._panels:  # families in the same world share theirs
+            self._panels[key] = self._panels.pop(key)
+        else:
+            while self._panels and (
+                len(self._panels) >= CACHED_PANELS
+                or sum(each.nbytes for each in self._panels.values()) > CACHED_BYTES
+            ):
                 del self._panels[next(iter(self._panels))]
             setup, judges = self.setup(**overrides), [each.judge for each in group]
             near = onset == NEAR_ALARM
@@ -214,7 +219,8 @@ class Worlds:
         clean, setup = play(start, "none"), start.setup
         most, attack_s = spoofer_context(setup).rate_limit_mps, setup.steps * setup.interval_s
         rates = [min(part * limit / attack_s, most) for part in RAMPS]
-        ramps = [play(start, {"name": "ramp", "rate_mps": rate}) for rate in rates]
+        specs = [{"name": "ramp", "rate_mps": rate} for rate in rates]
+        ramps = [play(start, spec) for spec in specs]
         early = start.warmup_alarm
         each = [record_runs(setup, {}, early, runs, clean, limit).records for runs in ramps]
         found = {name: np.array([records[name] for records in each]) for name in each[0]}
@@ -240,7 +246,7 @@ class Worlds:
             displacement=by_age(found[MEASURES[0]]),
             threshold=by_age(threshold).mean(axis=1),
             sky=by_age(found["sky"][0])[0],
-            alike=np.array(_compare_twice(start, clean, again)),
+            alike=np.array(_compare_twice(start, clean, again, specs, ramps)),
         )
 
     def measure_cost(self, judge: Detector, ages: int) -> tuple[float, float]:
@@ -316,9 +322,19 @@ class Worlds:
         return tuple(found)
 
 
-def _compare_twice(start: WarmStart, clean: Runs, again: WarmStart) -> bool:
-    """Whether a detector says the same of the same epochs in a smaller batch."""
-    few, twin = again.receivers, play(again, "none")
-    same = np.array_equal(twin.first_alarm, clean.first_alarm[:few])
-    same &= np.array_equal(again.warmup_alarm, start.warmup_alarm[:few])
-    return bool(same and np.allclose(twin.peak, clean.peak[:few], rtol=ALIKE, equal_nan=True))
+def _compare_twice(
+    start: WarmStart, clean: Runs, again: WarmStart, specs: Sequence[Any], ramps: Sequence[Runs]
+) -> bool:
+    """Whether a detector says the same of the same epochs in a smaller batch, and of attacks on the
+    same runs side by side, as of each alone."""
+    few = again.receivers
+    which = np.repeat(np.arange(len(specs)), few)
+    beside = again.take(np.tile(np.arange(few), len(specs)))
+    (found,) = play_side_by_side(beside, specs, which)
+    same = np.array_equal(again.warmup_alarm, start.warmup_alarm[:few])
+    pairs = [(play(again, "none"), clean)]
+    pairs += [(found.take(np.flatnonzero(which == k)), each) for k, each in enumerate(ramps)]
+    for twin, whole in pairs:
+        same &= np.array_equal(twin.first_alarm, whole.first_alarm[:few])
+        same &= np.allclose(twin.peak, whole.peak[:few], rtol=ALIKE, equal_nan=True)
+    return bool(same)

@@ -37,7 +37,6 @@ from ...detectors.build import spec_of_judge
 from ...detectors.calibrated import list_factors
 from ...detectors.learned import DetectorAgent
 from ...detectors.observation import make_detector_terms, written_terms
-from ...envs.observer import Observer
 from ...simulation.engine import Engine
 from ...simulation.monitors import PassiveDetectors
 from ...simulation.setup import SPLITS, Setup, make_generators, seeds_of_runs
@@ -249,25 +248,18 @@ class Plan(Experiment):
     def run_group(
         self, cells: Sequence[Cell], results: Reader, context: Context
     ) -> Iterator[Result]:
-        observers = context.cache.setdefault("observers", {})
         played = map_ordered(
-            lambda cell, stopped: self.play(*parse_cell(cell), observers, stopped),
-            cells,
-            context.threads,
+            lambda cell, stopped: self.play(*parse_cell(cell), stopped), cells, context.threads
         )
         for cell, episodes in zip(cells, played, strict=True):
             context.tick(cell.work)
             yield Result(episodes._asdict(), deflated=True)
 
     def play(
-        self,
-        part: str,
-        numbers: Sequence[int],
-        observers: dict[Any, Observer] | None = None,
-        stopped: threading.Event | None = None,
+        self, part: str, numbers: Sequence[int], stopped: threading.Event | None = None
     ) -> Episodes:
         """Play runs of a split, attacked and not: two episodes each, the clean one first.
-        `observers`: reused from call to call; `stopped`: set where another thread has failed."""
+        `stopped`: set where another thread has failed."""
         setup, runs = self.world, len(numbers)
         seeds = seeds_of_runs(self.entropy, PARTS[part], setup.name, numbers)
         own = [
@@ -291,10 +283,10 @@ class Plan(Experiment):
             gone += count
         twin.copy_rows(everyone, attacked, everyone)
         specs = [spec for _, spec in drawn]
-        attackers = Attackers(specs, engine, {} if observers is None else observers)
+        attackers = Attackers(specs, engine)
         apart = np.zeros((epochs, *attacked.position.shape))
         for k in range(epochs):
-            attacked.step(attackers.command(k) if k < setup.steps else None)
+            attacked.step(attackers.command(k))
             twin.step(attacked=False)
             apart[k] = attacked.position - twin.position
             for which, each in enumerate((twin, attacked)):

@@ -16,18 +16,14 @@ import numpy as np
 from ...attacks import Meaconer
 from ...attacks.equipment import QUIET, CounterfeitErrors
 from ...core.registry import Spec
-from ...envs.context import apply_pace, spoofer_context
-from ...envs.observer import Observer
-from ...envs.options import checked_action
-from ...envs.spoofer_binding import bound_spoofer, make_command_map, monitors_for
-from ...envs.terms.action import CommandMap, Decisions
-from ...envs.terms.observation import default_terms
+from ...envs.context import spoofer_context
+from ...envs.spoofer_binding import bound_spoofer, monitors_for
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
-from ...spoofers import Spoofer, SpooferContext, make_spoofer
+from ...spoofers import make_spoofer
 from ...spoofers.base import has_heading
 from ...spoofers.scaled import AMPLITUDE
-from ..runs.play import FloatArray
+from ..runs.play import FloatArray, SpooferController, get_traits
 from ..search.attack_suite import KNOTS, SHAPES
 
 FAMILIES = {
@@ -183,41 +179,25 @@ def round_setting(value: float) -> float:
 
 
 class Attackers:
-    """Spoofers each of which commands one receiver of an engine, which are at their onset. `specs`:
-    one a receiver; `observers` are reused from one engine to the next."""
+    """Spoofers each of which commands one receiver of an engine, which are at their onset; those
+    that can command parts of one batch decide together. `specs`: one a receiver."""
 
-    def __init__(
-        self, specs: Sequence[Spec], engine: Engine, observers: dict[Any, Observer]
-    ) -> None:
-        setup = engine.setup
-        self._engine, self._observers = engine, observers
-        self._spoofers: list[tuple[Spoofer, CommandMap, Decisions, Any]] = []
-        for row, spec in enumerate(specs):
-            spoofer = make_spoofer(spec)
-            commands = make_command_map(spoofer, setup)
-            seen = spoofer.knowledge, commands.along_target
-            if seen not in observers:
-                terms = default_terms(setup, seen[0], along_target=seen[1])
-                observers[seen] = Observer(terms, setup)
-            own = apply_pace(setup, spoofer)
-            context: SpooferContext = spoofer_context(own, 1, observers[seen], commands)
-            spoofer.bind(context)
-            spoofer.reset()
-            commands.aim(engine.simulator.heading[row : row + 1])
-            self._spoofers.append((spoofer, commands, Decisions(own, 1, len(commands.names)), seen))
+    def __init__(self, specs: Sequence[Spec], engine: Engine) -> None:
+        self._shape = engine.receivers, len(engine.setup.action_names)
+        traits = [get_traits(make_spoofer(spec)) for spec in specs]
+        self._controllers: list[tuple[list[int], SpooferController]] = []
+        for each in dict.fromkeys(traits):
+            rows = [row for row, own in enumerate(traits) if own == each]
+            which = np.full(len(specs), -1)
+            which[rows] = np.arange(len(rows))
+            alike = SpooferController([specs[row] for row in rows], engine, which)
+            self._controllers.append((rows, alike))
 
-    def command(self, epoch: int) -> FloatArray:
-        """Command (B, a) of an epoch, counted from the onset on."""
-        engine = self._engine
-        wanted = {seen for _, _, decisions, seen in self._spoofers if decisions.due(epoch)}
-        seen_by = {seen: self._observers[seen](engine, epoch) for seen in wanted}
-        rate = engine.simulator.commanded_rate
-        out = np.zeros((engine.receivers, len(engine.setup.action_names)))
-        for row, (spoofer, commands, decisions, seen) in enumerate(self._spoofers):
-            own = slice(row, row + 1)
-            if decisions.due(epoch):
-                shape = 1, len(commands.names)
-                action = checked_action(spoofer.act(seen_by[seen][own]), shape, commands.names)
-                decisions.take(action)
-            out[own] = commands.command(decisions.action(epoch), rate[own])
+    def command(self, epoch: int) -> FloatArray | None:
+        """Command (B, a) of an epoch, counted from the onset on; None after the last one."""
+        out = np.zeros(self._shape)
+        for rows, controller in self._controllers:
+            if (command := controller.command(epoch)) is None:
+                return None
+            out[rows] = command[rows]
         return out

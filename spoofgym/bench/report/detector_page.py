@@ -165,6 +165,10 @@ def list_score_pictures(
         for key, each in own.items()
     ]
     curves = [_hazard(detector, families) for detector, families in found.items()]
+    hazards = [
+        [{x["detector"]: x["p_hmi"]["value"] for x in each}.get(d) for d in found]
+        for each in own.values()
+    ]
     pictures = [
         Picture(
             "Undetected displacement by family of attacks",
@@ -174,6 +178,13 @@ def list_score_pictures(
             * bool(floors),
             figures.draw_dots(moved, f"{MOVED} [m]", limit_m=limit_m),
             figures.dots_height(moved),
+        ),
+        Picture(
+            "P(HMI) by family of attacks",
+            f"How often the error passes {limit_m:g} m with no alarm in time [% of the runs]; the "
+            "darker, the more often.",
+            figures.draw_heat([*own], [*found], hazards),
+            figures.heat_height([*own], [*found]),
         ),
         Picture(
             "P(HMI) against alert limit",

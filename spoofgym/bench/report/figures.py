@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.plots import COLOURS, GREY, GRID, figure_class, save_figure, style
+from ...core.plots import BLUE, COLOURS, GREY, GRID, figure_class, save_figure, style
 from ...core.registry import whole_number
 from ...envs.core import SpoofCore
 from ...envs.rendering import CoreRecorder, Screen
@@ -184,6 +184,37 @@ def draw_dots(
         for k, name in enumerate(names):
             ax.plot([], [], MARKERS[k % 8], color=_colour(k), label=_plain(name))
         ax.set_xlabel(text)
+
+    return draw
+
+
+def heat_height(rows: Sequence[str], columns: Sequence[str]) -> float:
+    return 0.3 * len(rows) + 0.2 * len(columns) + 0.6
+
+
+def draw_heat(
+    rows: Sequence[str], columns: Sequence[str], values: Sequence[Sequence[float | None]]
+) -> Draw:
+    """Shares from 0 to 1 by row and column [%], the larger the darker."""
+
+    def draw(ax: Axes) -> None:
+        from matplotlib.patches import Rectangle
+
+        for y, own in enumerate(values):
+            for x, value in enumerate(own):
+                if value is not None:
+                    shade = min(max(value, 0.0), 1.0) * 0.7
+                    ax.add_patch(Rectangle((x, y), 1.0, 1.0, color=BLUE, alpha=shade, lw=0))
+                text = "-" if value is None else f"{100.0 * value:.0f}"
+                ax.text(x + 0.5, y + 0.5, text, ha="center", va="center", fontsize=8)
+        ax.grid(visible=False)
+        ax.set(xlim=(0, len(columns)), ylim=(len(rows), 0))
+        letters = [chr(ord("a") + k) for k in range(len(columns))]
+        names = [f"{letter}: {name}" for letter, name in zip(letters, columns, strict=True)]
+        ax.set_xticks(np.arange(len(columns)) + 0.5, letters)
+        short = [x if len(x) <= 32 else f"{x[:30]} ..." for x in rows]
+        ax.set_yticks(np.arange(len(rows)) + 0.5, short, parse_math=False)
+        ax.set_xlabel("\n".join(names), loc="left", parse_math=False)
 
     return draw
 

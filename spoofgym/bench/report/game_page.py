@@ -10,7 +10,8 @@ from typing import Any
 from ...core.registry import format_label
 from ..experiments.store import Store
 from ..runs.record import RunRecord
-from .page import Page, Sheet, list_played_settings
+from . import figures
+from .page import Page, Picture, Sheet, list_played_settings
 from .table import Table, format_number, interval, percent, share
 
 Row = dict[str, Any]
@@ -27,6 +28,17 @@ def tabulate_game(record: Row) -> tuple[Table, list[Sequence[str]]]:
         rows.append((spoofer["label"], spoofer.get("knowledge", ""), part, *shown))
     labels = (each["label"] for each in record["detectors"])
     return Table.of_texts("spoofer", "observes", "mix", *labels), rows
+
+
+def _picture_payoffs(record: Row) -> Picture:
+    spoofers, detectors = ([each["label"] for each in record[f"{side}s"]] for side in STRATEGIES)
+    return Picture(
+        "Payoffs",
+        "Of each spoofer, a row, against each detector, a column [%]: the darker, the more the "
+        "spoofer gains.",
+        figures.draw_heat(spoofers, detectors, record["values"]),
+        figures.heat_height(spoofers, detectors),
+    )
 
 
 def describe_game(record: Row) -> str:
@@ -85,6 +97,7 @@ def build_game_page(store: Store, scores: Row | None = None, replay: Row | None 
     return Page(
         **shared,
         verdict=[f"Equilibrium: {describe_game(scores)}; in brackets 95 % intervals.", *best],
+        pictures=[_picture_payoffs(scores)],
         sheets=[Sheet("Payoffs and mixes", table, mixes), Sheet("Pairs", PAIRS, rows, "", True)],
         replay=replay,
         scores=scores,

@@ -34,8 +34,9 @@ Rngs = Callable[[], list[np.random.Generator]]
 """Makes the generators of runs, each time as they were."""
 BLOCK, MOST_TRIED = 512, 400_000
 """How many runs are looked at together for one that fits, and how many at most."""
-MOST_ROWS = 384
-"""Runs that attacks of one pass have together, but for a single attack that has more."""
+MOST_ROWS, MOST_BYTES = 384, 5e7
+"""Runs that attacks of one pass have together, and what detectors remember of them, but for a
+single attack that has more."""
 
 
 def turning(setup: Setup) -> Mask:
@@ -182,6 +183,11 @@ class Panel:
         return self.start.receivers
 
     @property
+    def nbytes(self) -> float:
+        """What detectors remember of the runs at their onset."""
+        return self.runs * self.start.bytes_each
+
+    @property
     def context(self) -> SpooferContext:
         return spoofer_context(self.setup)
 
@@ -208,7 +214,8 @@ class Panel:
         found: dict[tuple[str, int], Runs] = {}
         for (numbers, alone, *_), several in passes.items():
             sizes = [min(each.runs, self.runs) for each in several]
-            share = (np.cumsum(sizes) - 1) // max(MOST_ROWS, *sizes)
+            most = min(MOST_ROWS, int(MOST_BYTES / max(self.start.bytes_each, 1.0)))
+            share = (np.cumsum(sizes) - 1) // max(most, *sizes)
             for part in np.unique(share):
                 some = [(several[j], sizes[j]) for j in np.flatnonzero(share == part)]
                 rows = np.concatenate([np.arange(size) for _, size in some])
@@ -330,14 +337,17 @@ class NearAlarm(Panel):
 
     def __init__(self, setup: Setup, judge: Detector, rngs: Rngs, threads: int | None) -> None:
         self.world, self.judges, self.threads, self._watched = setup, [judge], threads, []
-        last = round(NEAR_ALARM_S / setup.interval_s)
-        own = self._build_setup((0,))
-        everyone = WarmStart(own.copy_with(monitors=[LateMaxima(last)]), rngs(), threads=threads)
-        ratio, _ = everyone.simulator.monitor(LateMaxima).pop_maxima()
-        order = np.argsort(-ratio[:, 0], kind="stable")
-        chosen = np.sort(order[: math.ceil(len(order) / CANDIDATES)])
+        own, last = self._build_setup((0,)), round(NEAR_ALARM_S / setup.interval_s)
+        drawn, watched = rngs(), own.copy_with(monitors=[LateMaxima(last)])
+        ratio, size = np.empty(len(drawn)), math.ceil(len(drawn) / CANDIDATES)
+        for first in range(0, len(drawn), size):  # not all at once, for want of memory
+            part = slice(first, first + size)
+            late = WarmStart(watched, drawn[part], threads=threads).simulator.monitor(LateMaxima)
+            ratio[part] = late.pop_maxima()[0][:, 0]
+        order = np.argsort(-ratio, kind="stable")
+        chosen = np.sort(order[:size])
         selected = set(chosen.tolist())
         self.rngs = lambda: [drawn for k, drawn in enumerate(rngs()) if k in selected]
-        self.ratio = ratio[chosen, 0]
-        start = everyone.under(own).take(chosen)
+        self.ratio = ratio[chosen]
+        start = WarmStart(own, self.rngs(), threads=threads)
         self._start_at_onset(start, np.zeros((len(chosen), 1), dtype=np.bool_))

@@ -56,7 +56,7 @@ class SpooferController:
     """Spoofers that command the receivers of an engine, which are at their onset; it leaves
     measurements alone where the first transmits nothing. `specs` are alike but for their settings:
     they observe and command the same, at one pace; `which` (B,) commands each receiver, by default
-    the first."""
+    the first, and -1 none."""
 
     def __init__(
         self, specs: Sequence[Any], engine: Engine, which: NDArray[np.intp] | None = None
@@ -101,7 +101,7 @@ class SpooferController:
     def decide(self, epoch: int) -> FloatArray:
         """Action of the spoofers, checked: (B, k) float64, C-contiguous."""
         seen = self._observer(self.engine, epoch)
-        action = np.empty((self.engine.receivers, len(self._commands.names)))
+        action = np.zeros((self.engine.receivers, len(self._commands.names)))
         for part in self._parts:
             rows = part.where
             action[rows] = _shaped_action(part.spoofer, seen[rows])
@@ -217,12 +217,22 @@ class WarmStart:
         self.setup, self.receivers, self._threads = setup, len(rngs), threads
         self._engine = Engine(len(rngs), setup, threads=threads)
         self._engine.reset(rngs, given=given)
+        self._rows = np.arange(len(rngs))
         self.warmup_alarm = self._engine.warmup_alarm.copy()
 
     @property
     def simulator(self) -> Simulator:
-        """The receivers at the onset, which must not be changed."""
+        """The receivers that were warmed up, taken or not, at the onset; they must not be
+        changed."""
         return self._engine.simulator
+
+    @property
+    def bytes_each(self) -> float:
+        """What detectors remember of a receiver in this process."""
+        panel = _find_panel(self.simulator)
+        judges = [self.simulator.detector] if panel is None else panel.detectors
+        whole = sum(array.nbytes for each in judges for array in each.memory.values())
+        return whole / self._engine.receivers
 
     def under(self, setup: Setup) -> WarmStart:
         """The same receivers; their runs have other monitors."""
@@ -235,16 +245,15 @@ class WarmStart:
         return self.take(np.arange(min(count, self.receivers)))
 
     def take(self, rows: NDArray[np.intp]) -> WarmStart:
-        """Chosen receivers, some of them more than once if so wanted."""
+        """Chosen receivers, some of them more than once if so wanted; nothing is copied yet."""
         part = copy.copy(self)
-        part.receivers = len(rows)
-        part._engine = self.extract(self._engine, rows)
+        part.receivers, part._rows = len(rows), self._rows[rows]
         part.warmup_alarm = self.warmup_alarm[rows]
         return part
 
     def engine(self) -> Engine:
         """All receivers at the onset."""
-        return self.extract(self._engine, np.arange(self.receivers))
+        return self.extract(self._engine, self._rows)
 
     def extract(self, engine: Engine, rows: NDArray[np.intp]) -> Engine:
         part = Engine(len(rows), self.setup, threads=self._threads)

@@ -29,14 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..runs.record import Aim, Mask, Protection, Winner
-from .statistics import (
-    NOTHING,
-    Estimate,
-    FloatArray,
-    bound_above,
-    largest_of_share,
-    percentiles,
-)
+from .statistics import NOTHING, Estimate, FloatArray, bound_above, largest_of_share, percentiles
 
 PARTS = np.arange(1, 8) / 8.0  # of the way between two values of a setting
 Between = tuple[FloatArray, FloatArray, float]

@@ -165,10 +165,7 @@ class RateSetpoint:
     """
 
     dimensions: int = setting(
-        default=1,
-        least=1,
-        most=2,
-        help="Along the target direction (1), or north and east (2).",
+        default=1, least=1, most=2, help="Along the target direction (1), or north and east (2)."
     )
     full_scale_mps: float = setting(
         default=1.0,

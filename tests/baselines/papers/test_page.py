@@ -37,11 +37,9 @@ def test_a_page_is_made_of_a_stored_full_run(tmp_path, monkeypatch):
     assert written.startswith("# Dice et al. (2025)\n")
     for line in (
         "python -m baselines.papers toy2025\n",
-        "| all | throws \\| all | - | 3000 | - | - | - | - | - | not printed |",
-        "| all | impossible | 7 | 0 | 6.5 to 7.5 | A | NO | - | - | a finding |",
-        "| all | excluded | 7 | 3.5 | 3 to 4 | B | NO | yes | - | not the paper's |",
-        "| all | largest | - | 6 | at most 6 | C | - | - | yes |  |",
-        "- **A** (tolerance): Half an eye to either side; seed 0.",
+        "| Table 1 | 2 | 2 of 2 | - | - | 0 |",
+        "| Table 2 | 4 | 0 of 2 | 1 of 1 | 1 of 1 | 1 |",
+        "[toy2025.csv](toy2025.csv)",
         "- 2 of 4 printed values lie inside the tolerance of the reproduction.",
         "- 1 of 1 of our values agree with an independent implementation.",
         "- 1 of 1 keep a limit from theory or of our own.",
@@ -49,6 +47,17 @@ def test_a_page_is_made_of_a_stored_full_run(tmp_path, monkeypatch):
         "![Figure 7, drawn from our runs](figures/dice_7.png)",
     ):
         assert line in written
+    lines = (tmp_path / "toy2025.csv").read_text().splitlines()
+    for line in (
+        "Table 2,all,throws | all,-,3000,-,-,-,-,-,not printed",
+        "Table 2,all,impossible,7,0,6.5 to 7.5,A,NO,-,-,a finding",
+        "Table 2,all,excluded,7,3.5,3 to 4,B,NO,yes,-,not the paper's",
+        "Table 2,all,largest,-,6,at most 6,C,-,-,yes,",
+    ):
+        assert line in lines
+    bands = (tmp_path / "toy2025_bands.csv").read_text()
+    assert "A,tolerance,Half an eye to either side; seed 0.\n" in bands
+    assert (tmp_path / "toy2025.png").read_bytes().startswith(b"\x89PNG")
     assert page.cells({**stored["rows"][-1], "low": 1.0, "high": None})[4] == "at least 1"
     assert stored["pictures"] == ["dice_7.png"]
     assert (tmp_path / "figures" / "dice_7.png").read_bytes().startswith(b"\x89PNG")

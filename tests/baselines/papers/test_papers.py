@@ -8,7 +8,7 @@ import pytest
 
 from baselines.papers import paper as papers
 from baselines.papers.frame import Settings
-from baselines.papers.page import DOCS, page_text
+from baselines.papers.page import DOCS, list_files, page_text
 from baselines.papers.paper import KEYS, list_parts, load_paper, rows_from_record
 from baselines.papers.tables import COUNTS, by_table
 
@@ -42,6 +42,9 @@ def test_every_other_link_of_the_index_leads_somewhere():
 def test_a_page_agrees_with_its_json_and_bands_that_exclude_the_printed_value_are_not_met(key):
     stored, page = read(key), (DOCS / f"{key}.md").read_text()
     assert page == page_text(load_paper(key), stored), "run `python -m baselines.papers.page`"
+    for name, text in list_files(stored).items():
+        assert (DOCS / name).read_text() == text, name
+    assert (DOCS / f"{key}.png").read_bytes().startswith(b"\x89PNG")
     rows = rows_from_record(stored)
     papers.check_rows(rows)
     assert {**stored, **papers.rows_record(rows)} == stored

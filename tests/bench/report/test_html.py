@@ -16,7 +16,7 @@ from spoofgym.bench.experiments import Store
 from spoofgym.bench.experiments.store import OUTPUTS, Cell, Result
 from spoofgym.bench.report.campaign_page import build_page, choose_worst_run, replay_worst
 from spoofgym.bench.report.detector_page import build_scores_page, load_families
-from spoofgym.bench.report.figures import Line, draw_lines
+from spoofgym.bench.report.figures import Line, draw_heat, draw_lines, render_svg
 from spoofgym.bench.report.game_page import build_game_page
 from spoofgym.bench.report.page import MOST_BYTES, load_replay, render_page, write_page
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, RunRecord, Winner
@@ -157,6 +157,17 @@ def test_families_of_attacks_have_a_page_finished_or_not(tmp_path):
         star = "*" * each.held_out
         assert first.startswith((f"{each.key} ({each.title}) ", f"{each.key}{star}: {each.title}"))
     assert NAME not in text
+
+
+def test_a_map_of_shares_has_a_cell_for_each_and_shows_what_is_missing():
+    rows, columns = ["ramp", "$a_very$ long name of a spoofer with settings"], ["ewma", NAME]
+    text = render_svg(draw_heat(rows, columns, [[0.0, 0.123], [1.0, None]]), 2.0)
+    shown = re.findall(r"<text[^>]*>([^<]*)</text>", text)
+    assert [x for x in shown if re.fullmatch(r"\d+|-", x)] == ["0", "12", "100", "-"]
+    assert {"ramp", "$a_very$ long name of a spoofe ...", "a: ewma"} <= {*shown}
+    assert f"b: {html.escape(NAME, quote=False)}" in shown
+    shades = re.findall(r"opacity: ([\d.]+)", text)
+    assert sorted(map(float, shades)) == pytest.approx([0.0, 0.0861, 0.7])
 
 
 def test_an_unsolved_game_says_which_pairs_are_missing(tmp_path):

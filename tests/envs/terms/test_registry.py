@@ -1,8 +1,9 @@
-"""Terms by name, as settings, as objects and from files; actions; rewards."""
+"""Terms by name, as settings, as objects and from files; tables of them; actions; rewards."""
 
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,11 +11,14 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from spoofgym.detectors.observation import Elapsed, InnovationSd, PredictedMotion
+from spoofgym.duel_v0 import DetectorView
 from spoofgym.envs import make_terms
 from spoofgym.envs.terms import TERMS, describe_terms
 from spoofgym.envs.terms.observation import OBSERVATION_TERMS, OwnCommand, Time
 from spoofgym.envs.terms.reward import AlarmPenalty, DisplacementGain
 from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement
+from tools.environments_page import read_table
 
 from ..support import LIVE, VICTIMS, AlarmAt, single, vector, victim, victims
 
@@ -208,3 +212,25 @@ def test_a_reward_that_is_not_finite_is_refused():
         ValueError, match=r"info\['reward_boundless'\] must be finite, got \[inf inf\]"
     ):
         envs.step(np.zeros((2, 2)))
+
+
+def test_the_table_of_the_detector_s_view_is_what_it_observes():
+    one_sky = {"turn_on": "drawn"}  # which is made sooner
+    names = gym.make("spoofgym/DetectorView-v0", domain=one_sky).unwrapped.observation_names
+    scales = {
+        "range_sd": InnovationSd.range_scale_m,
+        "rate_sd": InnovationSd.rate_scale_mps,
+        "predicted_velocity": PredictedMotion.velocity_scale_mps,
+        "specific_force": PredictedMotion.force_scale_mps2,
+        "angular_rate": PredictedMotion.rate_scale_rps,
+        "elapsed": Elapsed.scale_s,
+    }
+    next_one = 0
+    for index, words, _, scale in read_table(DetectorView):
+        first, _, last = index.partition("-")
+        word = re.sub(r"_(slotJJ|XXX)$", "", words)
+        assert int(first) == next_one
+        next_one = int(last or first) + 1
+        assert {name.startswith(word) for name in names[int(first) : next_one]} == {True}
+        assert float(scale) == scales.get(word, 1.0)
+    assert next_one == len(names)
