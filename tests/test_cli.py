@@ -162,6 +162,16 @@ def test_run_draws_one_attack():
     assert not Path("episode.png").exists()
 
 
+@pytest.mark.nightly
+def test_an_animation_of_a_whole_attack_is_small_by_default():
+    Image = pytest.importorskip("PIL.Image")
+    world = ["--scenario", "zhong2025", "--detector", "ewma"]
+    assert call("run", *world, "--out", "run.webp").exit_code == 0
+    assert Path("run.webp").stat().st_size < 1_500_000
+    with Image.open("run.webp") as picture:
+        assert 60 <= picture.n_frames <= 80
+
+
 def test_epochs_and_runs_are_written_for_matlab_and_as_parquet():
     from pyarrow.parquet import read_table
     from scipy.io import loadmat

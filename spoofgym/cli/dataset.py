@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from ..bench.experiments.dataset import Plan
 
 FORMATS = EPOCHS, MINARI = "epochs", "minari"
-OF_EPOCHS = ("term", "family", "validation", "test", "file_runs", "alert_limit_m", "overwrite")
-OF_EPOCHS += ("threads", "jobs", "backend", "shard")
+OF_EPOCHS: tuple[str, ...] = ("term", "family", "validation", "test", "file_runs")
+OF_EPOCHS += ("alert_limit_m", "overwrite", "threads", "jobs", "backend", "shard")
 """Options of the first format alone."""
 
 

@@ -16,7 +16,12 @@ from .suites import Reports, build_suite, calibrate_suite
 
 if TYPE_CHECKING:
     from ..bench.experiments.suite import Suite
+    from ..bench.runs.episode import Episode
     from ..bench.runs.players import PlayerSpec
+
+
+MOST_FRAMES = 80
+"""Of an animation by default, a WebP of 1 MB or so."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,10 +55,13 @@ def run(
         ".mp4, which needs FFmpeg; every epoch as numbers by .mat or .parquet.",
     ),
     picture: bool = Option(True, help="Draw the picture."),
-    fps: float = Option(
-        25.0, help="Frames of an animation a second; 2 is real time with epochs of 0.5 s."
+    fps: float = Option(10.0, help="Frames of an animation a second."),
+    every: int | None = Option(
+        None,
+        min=1,
+        help=f"Draw a frame of an animation every so many epochs, or decisions where the world has "
+        f"them. Default: so many that there are at most {MOST_FRAMES}.",
     ),
-    every: int = Option(1, min=1, help="Draw a frame of an animation every so many epochs."),
     as_json: opt.Json = False,
     options: RunOptions,
 ) -> None:
@@ -83,7 +91,7 @@ def run(
         write_columns(out, episode.columns())
         summary["epochs"] = str(out)
     if picture and animated:
-        _animate(suite, judge, player, options, out, fps, every)
+        _animate(suite, episode, options, out, fps, every)
         summary["picture"] = str(out)
     elif picture:
         summary["picture"] = str(draw_episode(episode, out))
@@ -95,21 +103,27 @@ def run(
 
 def _animate(
     suite: Suite,
-    judge: PlayerSpec,
-    player: PlayerSpec,
+    episode: Episode,
     options: RunOptions,
     out: Path,
     fps: float,
-    every: int,
+    every: int | None,
 ) -> None:
     """Write the run as an animation: flight, satellites, statistic, error."""
+    import numpy as np
+
     from ..bench.report.figures import frame_count, play_frames
     from ..envs.rendering.animation import save_animation
 
+    judge, player = episode.detector, episode.spoofer
+    largest_m = float(np.linalg.norm(episode.error_n[..., :2], axis=-1).max())
+    if every is None:
+        every = -(-frame_count(suite, judge) // (MOST_FRAMES - 1))
     with progress(frame_count(suite, judge, every)) as bar:
 
         def frames() -> Iterator[Any]:
-            for frame in play_frames(suite, judge, player, options.number, every=every):
+            how: dict[str, Any] = {"every": every, "largest_m": largest_m}
+            for frame in play_frames(suite, judge, player, options.number, **how):
                 yield frame
                 bar.advance(1.0, "drawing")
 

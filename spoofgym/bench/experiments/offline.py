@@ -49,7 +49,7 @@ def collect_episodes(
     if name in minari.list_local_datasets():
         raise ValueError(f"there is a data set {name} already; choose another name or version")
     own = {"detector": detector, "knowledge": knowledge}
-    chosen = {key: value for key, value in own.items() if value is not None}
+    chosen: dict[str, Any] = {key: value for key, value in own.items() if value is not None}
     env: Any = gym.make(world.env, **world.settings, **chosen)
     collector = minari.DataCollector(env, Cost, record_infos=True, data_format="arrow")
     alarms, space = 0, env.action_space

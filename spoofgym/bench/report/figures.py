@@ -300,9 +300,16 @@ def _draw_line(ax: Axes, line: Line, look: dict[str, Any]) -> None:
 
 
 def play_frames(
-    suite: Suite, detector: PlayerSpec, spoofer: PlayerSpec, run: int = 0, *, every: int = 1
+    suite: Suite,
+    detector: PlayerSpec,
+    spoofer: PlayerSpec,
+    run: int = 0,
+    *,
+    every: int = 1,
+    largest_m: float = 0.0,
 ) -> Iterator[NDArray[np.uint8]]:
-    """Play one of the evaluation runs, and draw it; no alarm ends it. Yields (H, W, 3) uint8."""
+    """Play one of the evaluation runs, and draw it; no alarm ends it. Up to an error of `largest_m`
+    the map keeps its scale. Yields (H, W, 3) uint8."""
     run, every = whole_number("`run`", run), whole_number("`every`", every, 1)
     setup = suite.setup(detector, [spoofer])
     commands = make_command_map(make_spoofer(spoofer.spec), setup)
@@ -310,7 +317,7 @@ def play_frames(
         setup = copy.copy(setup)
         setup.target_heading_deg = "worst"
     core = SpoofCore(1, setup, action=commands.terms, end_at_alarm=False, twin=True, threads=1)
-    screen = Screen("rgb_array", CoreRecorder(core))
+    screen = Screen("rgb_array", CoreRecorder(core), largest_m)
     core.reset(suite.generators("evaluation", run + 1, run))
     attacker = SpooferController([spoofer.spec], core.engine)
     # where the world has decisions, the environment makes epochs of them

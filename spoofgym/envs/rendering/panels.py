@@ -99,9 +99,10 @@ def equal_limits(ax: Axes, low: tuple[float, float], high: tuple[float, float]) 
 
 
 class FlightMap:
-    """The flight, with both estimates; their errors are magnified, by a factor that is shown."""
+    """The flight, with both estimates; their errors are magnified, by a factor that is shown. It
+    falls where an error exceeds `largest_m`."""
 
-    def __init__(self, ax: Axes, layout: EpisodeLayout) -> None:
+    def __init__(self, ax: Axes, layout: EpisodeLayout, largest_m: float = LEAST_M) -> None:
         style(ax)
         self._ax = ax
         extent = np.ptp(layout.track_ne, axis=0).max()
@@ -122,7 +123,10 @@ class FlightMap:
         self._scale = ax.text(
             0.02, 0.02, "", transform=ax.transAxes, fontsize=SMALL, color=GREY, zorder=5
         )
-        self._magnify(round_down(MAGNIFIED * self._extent / LEAST_M))
+        self._magnify(self._choose_factor(largest_m))
+
+    def _choose_factor(self, largest_m: float) -> float:
+        return max(round_down(MAGNIFIED * self._extent / max(largest_m, LEAST_M)), 1.0)
 
     def _magnify(self, factor: float) -> None:
         self._factor = factor
@@ -131,8 +135,7 @@ class FlightMap:
         )
 
     def fit(self, history: RenderHistory) -> bool:
-        largest = max(float(history.number("error_m").max()), LEAST_M)
-        factor = max(round_down(MAGNIFIED * self._extent / largest), 1.0)
+        factor = self._choose_factor(float(history.number("error_m").max()))
         if factor >= self._factor:
             return False
         self._magnify(factor)

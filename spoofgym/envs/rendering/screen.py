@@ -102,9 +102,11 @@ class Painter:
     ----------
     layout : EpisodeLayout
         What stays the same in it.
+    largest_m : float
+        Largest error of the episode where it is known [m]: up to it the map keeps its scale.
     """
 
-    def __init__(self, layout: EpisodeLayout) -> None:
+    def __init__(self, layout: EpisodeLayout, largest_m: float = 0.0) -> None:
         figure = figure_class()(figsize=SIZE_IN, dpi=DPI)
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -115,7 +117,7 @@ class Painter:
         )
         half = 2 if layout.has_sky else 3
         self._panels: list[Panel] = [
-            FlightMap(figure.add_subplot(grid[0, :half]), layout),
+            FlightMap(figure.add_subplot(grid[0, :half]), layout, largest_m),
             ErrorPlane(figure.add_subplot(grid[0, half : 2 * half]), layout),
             StatisticPanel(figure.add_subplot(grid[1, :3]), layout),
             ErrorPanel(figure.add_subplot(grid[1, 3:]), layout),
@@ -157,11 +159,13 @@ class Screen:
         Whether frames go to a window or to the caller.
     recorder : CoreRecorder
         Where frames come from.
+    largest_m : float
+        Largest error of the episode where it is known [m]: up to it the map keeps its scale.
     """
 
-    def __init__(self, mode: str, recorder: CoreRecorder) -> None:
+    def __init__(self, mode: str, recorder: CoreRecorder, largest_m: float = 0.0) -> None:
         check_word("render_mode", mode, RENDER_MODES)
-        self.mode, self._recorder = mode, recorder
+        self.mode, self._recorder, self._largest_m = mode, recorder, largest_m
         self._history: RenderHistory | None = None
         self._painter: Painter | None = None
         self._window: Window | None = None
@@ -199,7 +203,7 @@ class Screen:
         """Draw the episode as it is, in any mode: (H, W, 3) uint8, a new array."""
         history = self._require_history("render")
         if self._painter is None:
-            self._painter = Painter(history.layout)
+            self._painter = Painter(history.layout, self._largest_m)
         return self._painter.paint(history)
 
     def close(self) -> None:

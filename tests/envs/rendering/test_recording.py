@@ -1,10 +1,13 @@
 """What pictures show: the history of an episode beside its clean twin."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from spoofgym.core.plots import figure_class
 from spoofgym.envs.rendering import CoreRecorder, RenderHistory
-from spoofgym.envs.rendering.panels import NAME_SIZE, place_names
+from spoofgym.envs.rendering.panels import NAME_SIZE, FlightMap, place_names
 from spoofgym.simulation import TightlyCoupledSetup
 
 from ..support import VICTIMS, victim
@@ -100,3 +103,21 @@ def test_the_sky_marks_what_is_spoofed_and_names_lie_beside_one_another():
     assert shared(np.array(place_names(place, np.ones(8, dtype=bool)))) == 0
     alone = place_names(np.zeros((2, 1)), np.ones(1, dtype=bool))
     assert alone == [(0.06, 0.04)]
+
+
+def test_the_map_keeps_its_scale_up_to_an_error_that_is_known():
+    core = core_of()
+    core.reset([np.random.default_rng(3)])
+    layout = CoreRecorder(core).start_episode()
+
+    def list_scales(largest_m):
+        ax = figure_class()().subplots()
+        flight, scales = FlightMap(ax, layout, largest_m), []
+        for error_m in (1.0, 10.0, 40.0, 90.0):
+            flight.fit(SimpleNamespace(number=lambda _, x=error_m: np.array([x])))
+            scales.append(ax.texts[-1].get_text())
+        return scales
+
+    assert len({*list_scales(0.0)}) == 4
+    first, *rest = list_scales(40.0)
+    assert rest[:2] == [first, first] != rest[1:]
