@@ -258,6 +258,7 @@ def audit_spoofer(
     from ..bench.experiments.entry import compare_figures, list_spoofer_figures
     from ..bench.experiments.suite import (
         Suite,
+        find_stored_floor,
         get_budget,
         list_standard_detectors,
         standard_kwargs,
@@ -293,6 +294,7 @@ def audit_spoofer(
             entropy=choose_entropy(options.out, options.seed),
             tuning=make_tuning(size.training_runs, 0.05, rule="exact", quick=size.quick),
             floor_worlds=size.floor_worlds,
+            floor=find_stored_floor(task),
         )
         try:
             suite.world.check_fit((), suite.spoofer_players)

@@ -66,6 +66,7 @@ def test_one_that_compares_attacks_on_the_same_runs_is_warned_of(drawn):
     assert any(text.startswith(words) for text in audited(apart("Memorizer"), drawn[0])["warnings"])
 
 
+@pytest.mark.nightly
 def test_what_is_written_to_an_epoch_changes_no_score(drawn):
     check_scores_as_never(apart("Fails", how="writes"), drawn)
 

@@ -6,16 +6,19 @@ import numpy as np
 import pytest
 
 from spoofgym.bench.experiments import suite
-from spoofgym.bench.experiments.campaign import CampaignResults
+from spoofgym.bench.experiments.campaign import CampaignResults, run_campaign, summarize
 from spoofgym.bench.experiments.entry import FILE, compare_figures, list_spoofer_figures
 from spoofgym.bench.experiments.suite import Suite
+from spoofgym.bench.report.campaign import list_limit_notes
 from spoofgym.bench.scores.at_budget import AlarmCurve, exceed_at_budget
+from spoofgym.bench.scores.campaign import HALF
 from spoofgym.cli.suites import leave_uncalibrated
 from spoofgym.tasks import DETECTOR_TASKS
 
 from ..command_line import call, read, refused
 from ..detectors.learned.files import write_guard
 from .detector_support import NOMINAL, small_task
+from .support import small_suite
 from .test_entry import claim_all
 
 OWN = """
@@ -62,6 +65,18 @@ def test_a_spoofer_meets_the_detectors_of_the_suite_beside_the_usual_attacks(tmp
     assert max(map(len, lines[:-2])) <= 100
     assert (cells.path / "report.html").is_file()
     assert json.loads((cells.path / "summary.json").read_text())["entropy"] == 3
+
+
+def test_the_stored_floor_of_a_task_is_not_computed_again(tmp_path, monkeypatch):
+    assert suite.find_stored_floor(small_task()) is None
+    floor = suite.find_stored_floor(DETECTOR_TASKS["D2"])
+    monkeypatch.setattr("spoofgym.bench.search.bounds.compute_frontier", None)
+    played = small_suite(detectors=("never",), spoofers=("step",), floor=floor)
+    found = summarize(run_campaign(played, tmp_path, threads=1))
+    assert found["limits"]["floor"]["floor_m"] == floor["floor_m"]
+    (row,) = found["detectors"]
+    assert row["bracket"]["floor_m"][HALF] == floor["floor_m"]["half"]["value"]
+    assert floor["assumptions"][0] in list_limit_notes(found)[-1]
 
 
 def test_an_unknown_figure_of_a_spoofer_is_refused_before_anything_plays(tmp_path, monkeypatch):

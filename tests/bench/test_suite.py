@@ -74,6 +74,7 @@ def test_the_digest_follows_everything_that_results_depend_on():
             {"spoofers": ("step",)},
             {"tuning": Tuning(budget=0.1)},
             {"selection": Selection(runs=7)},
+            {"floor": {"floor_m": {}, "assumptions": []}},
         )
     ]
     assert len(set(digests)) == len(digests)

@@ -42,7 +42,7 @@ from .audit_worlds import (
 )
 from .runner import Context, Experiment
 from .store import Cell, Reader, Result
-from .suite import DETECTOR_FILE, stored_cards
+from .suite import DETECTOR_FILE, find_task_card, stored_cards
 
 SIFTED = 4
 """Part of the selection that sifts, as one in so many."""
@@ -134,8 +134,7 @@ class AuditCells(Experiment):
     @cached_property
     def card(self) -> dict[str, Any]:
         """What is stored of the task for spoofers that has the same world."""
-        known = self.of.task.key in tasks.DETECTOR_TASKS
-        return stored_cards().get(self.of.task.task.key, {}) if known else {}
+        return find_task_card(self.of.task)
 
     @cached_property
     def parts(self) -> dict[str, tuple[Cell, tasks.AttackFamily | str, ScoredDetector]]:

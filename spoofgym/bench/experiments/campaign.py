@@ -31,6 +31,7 @@ from ..scores.at_budget import exceed_at_budget, score_best
 from ..scores.scores import SHARES
 from ..search.amplitude import TuningResult, search_work, with_rates
 from ..search.attack_suite import BESIDE, SuiteAttack, WorstAttacks, expected_plays, play_winners
+from ..search.bounds import restate_lower_limits
 from ..search.open_loop import Optima, fit
 from .runner import Context, Experiment, run_experiment
 from .store import OUTPUTS, Cell, Reader, Result, Store
@@ -334,7 +335,12 @@ class Campaign(Experiment):
         if parts[0].kind == FLOOR:
             context.cache.clear()  # replays and panels take as much memory again
             release_free_memory()
-            yield Result(record=self.suite.optima(context.threads).bounds.compute_lower_limit())
+            suite = self.suite
+            if suite.floor is None:
+                record = suite.optima(context.threads).bounds.compute_lower_limit()
+            else:
+                record = restate_lower_limits(suite.floor, suite.world.setup)
+            yield Result(record=record)
             return
         optima: Optima = context.cache.setdefault("optima", self.suite.optima(context.threads))
         play = _Players(self.suite, parts[0].panel, self.results(results), context)

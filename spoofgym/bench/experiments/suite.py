@@ -27,7 +27,14 @@ from ...policies.onnx_file import SUFFIX
 from ...simulation.domain import Domain
 from ...simulation.setup import SPLITS, Setup, Timeline
 from ...spoofers import Spoofer
-from ...tasks import DEFAULT_TASK, RANGE_RATE_TESTS, DetectorTask, Task, get_task
+from ...tasks import (
+    DEFAULT_TASK,
+    DETECTOR_TASKS,
+    RANGE_RATE_TESTS,
+    DetectorTask,
+    Task,
+    get_task,
+)
 from ...truth.scenario import Scenario
 from ..runs.players import (
     DEFAULT_SPOOFERS,
@@ -130,6 +137,9 @@ class Suite:
     )
     floor_worlds: int | None = setting(
         default=None, least=1, help="Worlds of the floor; by default one under every sky."
+    )
+    floor: Mapping[str, Any] | None = setting(
+        default=None, help="Floor of the world as `find_stored_floor` has it; None to compute it."
     )
 
     def __post_init__(self) -> None:
@@ -266,6 +276,7 @@ class Suite:
             "alert_limit_m": float(self.alert_limit_m),
             "alert_limits_m": list(ALERT_LIMITS_M),
             **({} if self.floor_worlds is None else {"floor_worlds": self.floor_worlds}),
+            **({} if self.floor is None else {"floor": dict(self.floor)}),
             "notes": [*self.notes, *self.captions, *seeing, *self.left_out, *unknown],
         }
 
@@ -356,6 +367,18 @@ def stored_cards(file: str = FILE) -> dict[str, dict[str, Any]]:
     """Cards by the keys of the tasks; those that have not been played are absent."""
     found: dict[str, Any] = json.loads(files("spoofgym.bench").joinpath(file).read_bytes())
     return found
+
+
+def find_task_card(task: DetectorTask) -> dict[str, Any]:
+    """What is stored of the task for spoofers that has the same world; nothing of a task of your
+    own."""
+    return stored_cards().get(task.task.key, {}) if task.key in DETECTOR_TASKS else {}
+
+
+def find_stored_floor(task: DetectorTask) -> dict[str, Any] | None:
+    """Floor of a task's world, and what it assumes; None where it is not stored."""
+    card = find_task_card(task)
+    return {x: card[x] for x in ("floor_m", "assumptions")} if "floor_m" in card else None
 
 
 def list_task_detectors(task: Task) -> list[dict[str, Any]]:

@@ -9,7 +9,7 @@ in the mean without raising an alarm itself.  Between them lies what was found.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ...detectors.calibrated import STANDARD_RATE
@@ -73,6 +73,21 @@ def tabulate_lower_limits(
         "assumptions": list(frontier.assumptions),
         "floor_m": each[0][1],
         "rates": [{"p_fa": p_fa, "floor_m": found} for p_fa, found in each],
+    }
+
+
+def restate_lower_limits(stored: Mapping[str, Any], setup: Setup) -> dict[str, Any]:
+    """Stored lower limits as `DisplacementBounds.compute_lower_limit` has them: at the standard
+    rate of false alarms, over all skies of a world."""
+    p_fa, floor_m = run_probability(STANDARD_RATE, setup.window_s), stored["floor_m"]
+    return {
+        "p_fa": p_fa,
+        "heading": HEADING,
+        "worlds": setup.bounds.worlds,
+        "sensors_known": False,
+        "assumptions": stored["assumptions"],
+        "floor_m": floor_m,
+        "rates": [{"p_fa": p_fa, "floor_m": floor_m}],
     }
 
 
