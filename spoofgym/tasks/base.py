@@ -161,20 +161,22 @@ class AttackFamily:
 COMMON = {
     family.key: family
     for family in (
-        AttackFamily("ramps", "ramps and accelerating ramps", "a"),
-        AttackFamily("profiles", "profiles of the rate", "b"),
-        AttackFamily("feedback", "a ramp that yields where the statistic grows", "e"),
-        AttackFamily("dashes", "nothing, and then as fast as allowed", "h"),
+        AttackFamily("ramps", "drifts at a constant or a growing rate", "a"),
+        AttackFamily("profiles", "drifts whose rate grows in other ways", "b"),
+        AttackFamily(
+            "feedback", "a drift that slows as the detector's statistic, which it sees, grows", "e"
+        ),
+        AttackFamily("dashes", "no drift, and then the fastest that is allowed", "h"),
         AttackFamily(
             "quiet",
-            "a counterfeit quieter than nature",
+            "signals with less noise than real ones",
             "ah",
             True,
             {"name": "false-position", "errors": "quiet"},
         ),
         AttackFamily(
             "subset",
-            "every second channel moves, the others stay",
+            "every second satellite is spoofed",
             "ah",
             True,
             {"name": "false-position", "channels": [f"slot{k:02d}" for k in range(0, 12, 2)]},
@@ -196,7 +198,7 @@ COMMON = {
         ),
         AttackFamily(
             "chance-alarm",
-            f"onset after an alarm by chance, or near one, in the last {NEAR_ALARM_S:g} s",
+            f"onset within {NEAR_ALARM_S:g} s of a false alarm, or nearly one",
             "ah",
             True,
             onset="chance-alarm",

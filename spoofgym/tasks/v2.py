@@ -83,7 +83,9 @@ TASKS: dict[str, Task] = {
 FAMILIES = (
     COMMON["ramps"],
     COMMON["profiles"],
-    AttackFamily("open-loop", "the best profile that a search finds against this detector", "o"),
+    AttackFamily(
+        "open-loop", "a drift whose rate over time a search finds against this detector", "o"
+    ),
     *(family for key, family in COMMON.items() if key not in ("ramps", "profiles")),
     AttackFamily(
         "early",

@@ -174,17 +174,10 @@ def list_score_pictures(
             "Undetected displacement by family of attacks",
             "What the worst attack of each family exceeds in half of the runs with no alarm in "
             "time, with its 95 % interval; * held out from training."
-            + " Grey: what a perfect detector would allow (floor)."
+            + " Dashes: what a perfect detector would allow (floor)."
             * bool(floors),
             figures.draw_dots(moved, f"{MOVED} [m]", limit_m=limit_m),
             figures.dots_height(moved),
-        ),
-        Picture(
-            "P(HMI) by family of attacks",
-            f"How often the error passes {limit_m:g} m with no alarm in time [% of the runs]; the "
-            "darker, the more often.",
-            figures.draw_heat([*own], [*found], hazards),
-            figures.heat_height([*own], [*found]),
         ),
         Picture(
             "P(HMI) against alert limit",
@@ -193,11 +186,20 @@ def list_score_pictures(
             figures.draw_lines(curves, "alert limit [m]", figures.HAZARD, log="x", limit_m=limit_m),
         ),
     ]
+    if len(found) > 1:
+        heat = Picture(
+            "P(HMI) by family of attacks",
+            f"How often the error passes {limit_m:g} m with no alarm in time [% of the runs]; the "
+            "darker, the more often.",
+            figures.draw_heat([*own], [*found], hazards),
+            figures.heat_height([*own], [*found]),
+        )
+        pictures.insert(1, heat)
     if probed := [each for each in records if "ages" in each]:
         rates = probed[0]["ages"]["rate_mps"]
         caption = (
-            f"The same {len(rates)} ramps of {min(rates):.2g} to {max(rates):.2g} m/s in the same "
-            "runs, begun at each of these times; with 95 % intervals."
+            f"The same {len(rates)} plain ramps of {min(rates):.2g} to {max(rates):.2g} m/s in the "
+            "same runs, begun at each of these times, with 95 % intervals. Other attacks do better."
         )
         x, y = "time from switch-on to the onset of the ramp [min]", "ramps with an alarm [%]"
         draw = figures.draw_lines([_ages(each) for each in probed], x, y, log="x")

@@ -213,7 +213,7 @@ class Audit:
         if usual.low > NOISY_WARMUP and usual.value < 1.0:
             yield (
                 f"alarms since switch-on in {100.0 * usual.value:.0f} % of the runs without an "
-                "attack: all else is of the others"
+                "attack; attacks are scored on the others"
             )
         words = []
         for name in (each for each in alarms if each not in (WINDOW, CLEAN)):
