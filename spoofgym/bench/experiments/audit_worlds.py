@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...calibration.thresholds import PASSIVE_RUNS, WEIGHING_RUNS
+from ...core.children import release_free_memory
 from ...core.settings import compute_digest, describe
 from ...detectors import Detector, LearnedDetector, detector_in_world
 from ...detectors.build import bare_detector
@@ -195,6 +196,7 @@ class Worlds:
                 if near
                 else Panel(setup, judges, rngs, self.threads)
             )
+            release_free_memory()  # of the warm-up
         return self._panels[key]
 
     def start_at_ages(self, judge: Detector, runs: int, ages: int, youngest: int = 0) -> WarmStart:
@@ -291,6 +293,8 @@ class Worlds:
         )
         spoofer = specify_spoofer(add_tuned_setting({"name": "open-loop"}))
         found = optima.find(detector.player, spoofer, tick)["aims"]
+        del optima  # whose replays are large
+        release_free_memory()
         curves = {tuple(each["rates_mps"]) for each in found.values()}
         attacks = tuple(SuiteAttack("c", with_rates(spoofer, [*x])) for x in sorted(curves))
         return attacks, bounds.zero_alarm(detector.player).as_json()
