@@ -1,6 +1,7 @@
 """A poor machine: 60 columns, no colour, no home, no display, no network, little patience."""
 
 import fcntl
+import functools
 import os
 import pty
 import re
@@ -43,7 +44,9 @@ def on_terminal(words, variables, folder, until=None):
     fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", 24, COLUMNS, 0, 0))
     command = [sys.executable, "-m", "spoofgym", *words]
     ends = {"stdin": subprocess.DEVNULL, "stdout": other, "stderr": other}
-    process = subprocess.Popen(command, env=variables, cwd=folder, **ends)
+    # which what starts the tests may ignore, as a shell does in the background
+    heed = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    process = subprocess.Popen(command, env=variables, cwd=folder, preexec_fn=heed, **ends)
     os.close(other)
     text, began = "", time.monotonic()
     while time.monotonic() - began < 600.0:
