@@ -3,7 +3,7 @@
 CLAIMS = """
 A loosely coupled GNSS/INS filter whose noise covariances tune themselves, from the residuals and
 innovations of a moving window, detects slow spoofing ramps that the common filter of fixed noise
-misses, and the others ten times sooner. Both raise an alarm where the normalized innovation
+misses, and finds the others ten times sooner. Both raise an alarm where the normalized innovation
 squared exceeds 25.9, chi-square of three degrees of freedom at a false-alarm probability of 1e-5.
 Table 1 gives the time to the first alarm for ramps of 2, 3 and 5 m/s to the east and to the
 north: none, 3.41 and 1.91 s for the common filter; 0.35, 0.22 and 0.11 s for the self-tuning one.
@@ -25,9 +25,9 @@ stated R.
 
 **The common column** needs another R: with correlated errors and the stated one, only 5 m/s is
 seen, after 4.2 s. R times 0.24 to 0.28, which we fitted, gives 3.5 to 4.0 s and 1.7 to 1.8 s at 3
-and 5 m/s, for the printed 3.41 and 1.91 s, and nothing at 2 m/s; no such factor has both within the
-spread of single runs. White errors of 1.6 m and 3 m with R times 0.4, fitted too, have both, but
-hide the ramps from the self-tuning filter.
+and 5 m/s, for the printed 3.41 and 1.91 s, and nothing at 2 m/s; no such factor brings both
+within the spread of single runs. White errors of 1.6 m and 3 m with R times 0.4, fitted too, do
+so, but hide the ramps from the self-tuning filter.
 
 **The gain is a smaller R, not tuning.** A common filter that simply assumes 0.37 m instead of 3.7
 m detects all ramps, after 0.9, 0.55 and 0.33 s, without a false alarm in the first 15 s, and is

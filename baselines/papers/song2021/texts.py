@@ -11,12 +11,12 @@ after 2 s, a drift after 5 s.
 """
 
 FINDINGS = """\
-- The ordering of the algorithms holds in every run, but for a few with both attacks and the largest
+- The ordering of the algorithms holds in every run, except a few with both attacks and the largest
   error of the heading, in which RIO is worse than the plain filter. The rows of GNSS and of the
-  plain filter come out, and hardly say anything: they follow from the attack, the definition of
-  sigma and one gain. Most figures of RIO's and ACNA's printed run are worse than ours under the
-  jump (sigma 1.39 and 1.14 m, ours 0.87 m), ACNA's better under both attacks (0.81 m, ours 1.41 m),
-  by more than the spread of single runs; a second program agrees with ours.
+  plain filter are reproduced, but say little: they follow from the attack, the definition of sigma
+  and one gain. Most figures of RIO's and ACNA's printed run are worse than ours under the jump
+  (sigma 1.39 and 1.14 m, ours 0.87 m), ACNA's better under both attacks (0.81 m, ours 1.41 m), by
+  more than the spread of single runs; a second program agrees with ours.
 - ACNA is not better than RIO against the jump (1.14 m and 1.39 m in the paper): both reject it at
   once and rest on the same dead reckoning, and the difference is chance.
 - The paper's result with both attacks (0.81 m, zeta 92.5 %) is not what its own flowchart gives.
@@ -47,11 +47,10 @@ READINGS = """\
   clean 0.59 m and 0.53 m.
 - Dead reckoning: a hard-iron error of the heading of 4 deg (2 and 6 deg for the shares of runs),
   the only source of drift; the paper names none. The corners have a radius of 0.3 m.
-- The paper's seven measurements (eq. 9): of the east and north of dead reckoning the increments
-  stand, as the input of the prediction; of its heading the hard-iron error, in which direction they
-  point; east and north of GNSS are the two measurements of the filter. The heights of both are left
-  out, on a level court. With GNSS excluded, the paper's first four (eq. 10) are the prediction
-  alone.
+- The paper's seven measurements (eq. 9): the east and north of dead reckoning enter as increments,
+  the input of the prediction; its heading, with the hard-iron error, gives the direction of these;
+  east and north of GNSS are the two measurements of the filter. The heights of both are left out,
+  on a level court. With GNSS excluded, the paper's first four (eq. 10) are the prediction alone.
 - Filter: the position alone, driven by dead reckoning, with a gain that settles at 0.16, chosen for
   the 3.9 m by which the paper's filter lags.
 - Drift of GNSS: from the prediction of the filter. If dead reckoning ran free from the start, most

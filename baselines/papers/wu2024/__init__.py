@@ -23,18 +23,18 @@ position fixes; a search of all subsets does so in 90.1 % with 1361.
 """
 
 FINDINGS = """
-- The averages are met, but for those of table 3: separation, seeds of the four search sets,
+- Apart from table 3, these averages are reproduced: separation, seeds of the four search sets,
   success, false and failed rates, and numbers of fixes of both methods.  Traversal RAIM is met row
   by row, and does not depend on the sky.
 - SRV-RAIM as printed is not what was run: with one pass of growth its false separations with one
   spoofed satellite are nearly twice the paper's.  With passes until nothing is added, they agree.
 - The separation of plain residuals (table 3) is within its wide band for NH = 0, but 2 and 3
-  hybrids are rarer than printed, and 5 or more commoner: they hang on the clock's part of the
+  hybrids are rarer than printed, and 5 or more commoner: they depend on the clock's part of the
   displacement and on the sky, neither of which is printed.
-- The fixes are 60 times fewer, the time is not: sorting and failed searches are not counted as
-  fixes, so that a call takes about a tenth of the time.  With 1 or 11 spoofed satellites, traversal
-  is the faster one.
-- The confidence of 95 % is spent on every test: both methods call 5 % of clean epochs inconsistent,
+- SRV-RAIM needs 60 times fewer fixes, but not 60 times less time: sorting and failed searches are
+  not counted as fixes, so that a call takes about a tenth of the time.  With 1 or 11 spoofed
+  satellites, traversal is the faster one.
+- Every single test has a confidence of 95 %: both methods call 5 % of clean epochs inconsistent,
   and fail to tell 10 % of the cases with 5 to 7 spoofed satellites for that reason alone.
 """
 
