@@ -105,6 +105,9 @@ def test_episodes_of_spoofers_become_a_data_set_of_minari(tmp_path, monkeypatch)
         alarms.append(played[-1][4]["detected"])
     assert alarms == [False, True, False, True]
     assert "there is a data set spoofgym/two-v0 already" in refused(*line)
+    monkeypatch.setattr("spoofgym.bench.experiments.offline.attach", None)  # nothing is played
+    assert "end in a version, such as two-v0" in refused(line[0], "two", *line[2:])
+    assert "Malformed dataset ID: two:a-v0" in refused(line[0], "two:a-v0", *line[2:])
 
 
 def test_a_data_set_of_minari_names_what_it_lacks_and_what_it_does_not_take(monkeypatch):

@@ -171,7 +171,9 @@ def _collect(
     with progress(episodes * len(specs)) as bar:
         shared: dict[str, Any] = {"episodes": episodes, "seed": seed, "knowledge": knowledge}
         found = collect_episodes(name, played, guard, specs, **shared, progress=bar)
+    notes = state_reality(options)
     if as_json:
-        print_json(found)
+        print_json({**found, **({"notes": notes} if notes else {})})
         return
     FIELDS.print(f"{name}, a data set of Minari", found.items())
+    print_lines(notes)

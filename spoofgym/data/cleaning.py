@@ -184,7 +184,7 @@ def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int
 class CleaningReport:
     """What cleaning found and dropped; counts are rows of the file unless said otherwise.
 
-    - `name`: name of the file or flight; `altitude`: which column is it, in which unit; `rows`: all
+    - `name`: name of the file or flight; `altitude`: which column it is, and its unit; `rows`: all
       of them; `unsorted`: those that came too late in the file;
     - `incomplete`: rows without latitude, longitude or altitude;
     - `repeated`: rows that repeat the position of the row before;
@@ -269,9 +269,9 @@ def clean_track(
     cut = _cut(elapsed, (first, last), from_s, duration_s)
     fixes, angle, speed = fixes[cut], angle[cut], speed[cut]
     if raw.unit_by_name:
-        _refuse(
-            raw.name, find_mistaken_altitude(fixes.time, fixes.altitude, fixes.vertical_rate, speed)
-        )
+        climb, reported = fixes.vertical_rate, fixes.groundspeed
+        mistake = find_mistaken_altitude(fixes.time, fixes.altitude, climb, speed, reported)
+        _refuse(raw.name, mistake)
     start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=float(fixes.time[0]))
     track = Track(
         raw.name,

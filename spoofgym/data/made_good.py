@@ -1,7 +1,7 @@
 """Speeds and courses that positions alone tell, and columns that contradict them as a whole.
 
-A single wrong value is dirt, which cleaning drops.  Values that are all wrong in one known way are
-a mistake about the file, and refused with the mistake's name.
+A single wrong value is dirt, which cleaning drops, and so is one that stands for many.  Values that
+are all wrong are a mistake about the file, and refused, with the mistake's name where it is known.
 """
 
 from __future__ import annotations
@@ -121,12 +121,15 @@ def find_mistaken_course(
     `track_deg` (n,) as recorded [deg]; `resolved` (n,) where they agree with the positions [rad],
     else NaN; `swapped`: what latitude and longitude tell when exchanged.
     """
-    used = np.isfinite(track_deg) & np.isfinite(made.course)
+    used = np.isfinite(track_deg) & np.isfinite(made.course) & made.straight
     if used.sum() < FEWEST or np.unique(track_deg[used]).size < DISTINCT:
         return None
     now = np.nan_to_num(np.abs(wrap(resolved - made.course))[used], nan=math.pi)
     if (middle := float(np.median(now))) < DRIFT:
         return None
+    wrong = now > COURSE_TOLERANCE
+    if wrong.mean() > 0.5 and np.unique(track_deg[used][wrong]).size < DISTINCT:
+        return None  # such as 0 where none is known
     recorded = np.radians(track_deg)
     causes = [] if swapped is None else [("latitude and longitude are swapped", recorded, swapped)]
     causes += [
@@ -138,12 +141,12 @@ def find_mistaken_course(
     ]
     for words, course, seen in causes:
         off = np.abs(wrap(course - seen.course))
-        known = np.isfinite(off)
+        known = np.isfinite(off) & seen.straight
         agree = known.sum() >= FEWEST and (off[known] < COURSE_TOLERANCE).mean() > MOST
         if agree and np.median(off[known]) < 0.5 * middle:
             return f"{words}: the courses contradict the positions as they are, and agree then"
-    agree, pace = int((now < COURSE_TOLERANCE).sum()), float(np.nanmedian(made.path_speed))
-    if agree < (1.0 - MOST) * now.size and SLOW < pace < 2.0 * FASTEST:  # else times are wrong
+    agree, pace = int((~wrong).sum()), float(np.nanmedian(made.path_speed))
+    if wrong.mean() > MOST and SLOW < pace < 2.0 * FASTEST:  # else times are wrong
         return f"courses agree with the positions at {agree} of {now.size} fixes: what are they?"
     return _find_drift(time, resolved, made) if middle < math.pi else None
 
@@ -170,10 +173,11 @@ def _find_drift(time: Floats, resolved: Floats, made: GroundTrack) -> str | None
 
 
 def find_mistaken_altitude(
-    time: Floats, altitude: Floats, vertical_rate: Floats, speed: Floats
+    time: Floats, altitude: Floats, vertical_rate: Floats, speed: Floats, reported: Floats
 ) -> str | None:
     """The unit that altitudes [m] are in, where climb rates or speeds [m/s] say that it is not the
-    one they are taken for, in words."""
+    one they are taken for, in words. `reported` (n,) speeds that agree with the positions, which
+    tell that times are in seconds; NaN without one."""
     feet = "altitudes seem to be in feet, and taken as metres (--altitude-unit ft)"
     metres = "altitudes seem to be in metres, and taken as feet (--altitude-unit m)"
     levels = "altitudes seem to be flight levels, and taken as feet (--altitude-unit fl)"
@@ -202,7 +206,7 @@ def find_mistaken_altitude(
         float(np.nanmedian(speed * np.clip(1.0 - 2.25577e-5 * h, 0.75, 1.0) ** (0.5 * 4.2559)))
         for h in (altitude, altitude / FOOT)
     )  # equivalent airspeeds, ICAO, to 11 km
-    if fast > FASTEST:
+    if fast > FASTEST and (then < FASTEST or np.isfinite(reported).mean() < 0.5):
         cause = metres if then < FASTEST else "times seem not to be in seconds"
         return f"{cause}: at {high:.0f} m, {fast:.0f} m/s of equivalent airspeed are too fast"
     return None

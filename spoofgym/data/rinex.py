@@ -205,12 +205,13 @@ def check_version(line: str, path: Path, valid: tuple[int, ...]) -> int:
 
 def _blank_other_frames(lines: list[str], others: Counter[str]) -> list[str]:
     """A version 4 file as one of version 3: blank where there are titles, and frames other than
-    orbits, or orbits of GPS of another message than the legacy one, which are counted."""
+    orbits, or orbits of other messages than the legacy ones, which are counted."""
     blanked, used = list[str](), True
     for line in lines:
         if is_title := line.startswith(">"):
             kind, satellite, message = (line[1:].split() + [""] * 3)[:3]
-            used = kind == "EPH" and (satellite[:1] != "G" or message == "LNAV")
+            legacy = message == "LNAV" if satellite[:1] == "G" else message[:2] != "CN"
+            used = kind == "EPH" and legacy
             if kind == "EPH" and not used:
                 others[message] += 1
         blanked.append(line if used and not is_title else "")

@@ -270,7 +270,8 @@ def _read_csv(content: bytes) -> pandas.DataFrame:
     head = text.partition("\n")[0]
     if not head:
         return pandas.DataFrame()
-    text = text.replace(f"\n{head}\n", "\n")
+    while (again := f"\n{head}\n") in text:
+        text = text.replace(again, "\n")
     apart = max(",;\t|", key=head.count)
     rows = csv.reader(StringIO(text), delimiter=apart, skipinitialspace=True)
     seen = list(islice(filter(None, rows), 2))
@@ -578,10 +579,12 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
 
 
 def _join_periods(time: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Seconds of a day, or of a week, that count on where they begin again."""
+    """Seconds of a day, or of a week, that count on where they begin again; dates as they are."""
+    largest, change = np.nanmax(time, initial=0.0), np.diff(time, prepend=time[:1])
     for period in (86_400.0, 604_800.0):
-        again = np.abs(np.diff(time, prepend=time[:1]) + period) < 30.0
-        time = time + period * np.cumsum(again)
+        if largest <= period:
+            again, back = (np.abs(change + way * period) < 30.0 for way in (1.0, -1.0))
+            return time + period * (np.cumsum(again) - np.cumsum(back))
     return time
 
 

@@ -38,7 +38,7 @@ RECEIVER_RADII = 6.3e6, 5e7  # distances from the Earth's centre [m]
 SATELLITE_RADII = 6.5e6, 1e8
 OPAQUE_RADIUS = 6.33e6  # a signal passes no nearer to the Earth's centre, refraction included [m]
 FASTEST = 12_000.0  # of any receiver or satellite [m/s]
-LARGEST_FORCE, LARGEST_MEDIAN = 5e3, 5e2  # that any sensor survives, or feels for long [m/s^2]
+LARGEST_FORCE, LARGEST_MEDIAN = 5e3, 5e2  # of a shock, and of half of the samples [m/s^2]
 FREE_FALL_RADIUS = 6.478e6  # from the Earth's centre, below which nothing falls freely at first [m]
 RANGE_SPREAD, SPREAD_RATE = 1e6, 8_000.0  # of what geometry leaves of ranges [m], its growth [m/s]
 MEASURED_RANGES = 1e7, 1e8  # of satellites, the receiver's clock included [m]
@@ -70,8 +70,9 @@ TRIED_EPOCHS = 600
 SHIFT_S, LONGEST_SHIFT_S = 10.0, 2e3  # over which an orbit is a parabola; of what is tried
 
 
-LONGEST_STEP_S, FAST, FEW_PAIRS, MOVED_OFTEN = 2.0, 3.0, 5, 0.7
-"""Of epochs and velocities [m/s] with which positions are compared, and how far they may differ."""
+LONGEST_STEP_S, TOGETHER_S, FAST, FEW_PAIRS, MOVED_OFTEN = 2.0, 5.0, 3.0, 5, 0.7
+"""Of epochs, of their means, and of velocities [m/s] with which positions are compared, and how far
+they may differ."""
 LIKELY, MOVED_BADLY = 0.5, 0.2  # of a cause by which they differ less, and how far they may then
 
 
@@ -147,9 +148,14 @@ def _check_motion(recording: PositionRecording, initial: NavState) -> None:
     if fast.sum() < FEW_PAIRS:
         return
 
-    def misfit(change: Callable[[Floats], Floats]) -> float:
-        off = np.linalg.norm(moved[fast] - change(mean[fast]), axis=1)
-        return float(np.median(off) / np.median(np.linalg.norm(mean[fast], axis=1)))
+    pace, speed = (float(np.median(np.linalg.norm(x[fast], axis=1))) for x in (moved, mean))
+    each = max(1, round(TOGETHER_S / float(np.median(step[pairs]))))
+    firsts = np.arange(0, fast.sum(), each)
+    counts = np.diff(firsts, append=fast.sum())[:, None]
+
+    def misfit(change: Callable[[Floats], Floats]) -> float:  # noise of positions cancels out
+        off = np.add.reduceat(moved[fast] - change(mean[fast]), firsts) / counts
+        return float(np.median(np.linalg.norm(off, axis=1)) / speed)
 
     axes = _local_axes(initial)
     causes: dict[str, Callable[[Floats], Floats]] = {
@@ -162,10 +168,10 @@ def _check_motion(recording: PositionRecording, initial: NavState) -> None:
     }
     found, cause = misfit(lambda v: v), min(causes, key=lambda x: misfit(causes[x]))
     likely = misfit(causes[cause]) < LIKELY * found
+    if pace < HELD * speed:
+        cause = "are positions held from one solution to the next, or which unit has it"
+        likely, found = True, 1.0 - pace / speed
     if found > (MOVED_BADLY if likely else MOVED_OFTEN):
-        sizes = (float(np.median(np.linalg.norm(x[fast], axis=1))) for x in (moved, mean))
-        if next(sizes) < HELD * next(sizes):
-            cause = "are positions held from one solution to the next, or which unit has it"
         raise ValueError(
             "`velocity_e` must be in ECEF axes and m/s, but positions move differently, by "
             f"{100.0 * found:.0f} % of it in the median "

@@ -86,6 +86,32 @@ def test_a_stale_speed_or_course_is_dirt_and_no_mistake(flights):
     assert report.speeds_rejected == report.rows
 
 
+def test_a_mark_of_an_absent_course_is_dirt_however_often(flights):
+    table = make_table(flights[240.0], 1.7e9)
+    sparse = table.assign(track=table["track"].where(table.index % 10 == 0, 300.0))
+    _, report = clean_track(track_from_frame(sparse, "sparse"))
+    assert 0 < report.angles < 0.2 * report.fixes
+
+
+def test_an_aircraft_that_circles_is_taken_as_it_is():
+    place = {"latitude_deg": 46.0, "longitude_deg": 8.0, "height_m": 1e3}
+    legs = [Straight(5.0), Turn(7_000.0, bank_deg=45.0)]
+    around = fly(legs, **place, speed_mps=50.0, heading_deg=10.0, rate_hz=10.0)
+    table = make_table(around, 1.7e9, 20)
+    _, report = clean_track(track_from_frame(table, "around"))
+    assert report.angles > 0.95 * report.fixes
+
+
+def test_a_fast_jet_is_refused_only_where_its_times_may_be_wrong():
+    place = {"latitude_deg": 46.0, "longitude_deg": 8.0, "height_m": 300.0}
+    legs = [Straight(60.0), Turn(60.0, bank_deg=30.0), Straight(60.0)]
+    table = make_table(fly(legs, **place, speed_mps=230.0, heading_deg=10.0, rate_hz=10.0), 1.7e9)
+    clean_track(track_from_frame(table, "jet"))
+    alone = table.drop(columns=["groundspeed", "vertical_rate"])
+    with pytest.raises(ValueError, match="times seem not to be in seconds"):
+        clean_track(track_from_frame(alone, "jet"))
+
+
 def test_swapped_places_are_found_by_speeds_alone_too(flights):
     table = make_table(flights[100.0], 1.7e9).drop(columns="track")
     clean_track(track_from_frame(table, "honest"))

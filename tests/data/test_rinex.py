@@ -131,12 +131,15 @@ def test_version_4_gives_its_legacy_orbits_and_leaves_out_all_other_frames(writt
         "EPH G05 CNAV": g05 + "     0.1E+01\n",
         "ION G05 LNAV": "    2024 09 14 22 00 00 0.1E-07 0.1E-07 0.1E-07\n     0.1E+06\n",
         "EPH R07 FDMA": R07,
+        "EPH C12 CNV1": to_version_3(G12, "C") + "     0.1E+01\n",
         "EPH G12 LNAV": g12,
         "EOP J01 CNAV": "    2024 09 14 22 00 00 0.1E-07\n     0.1E+06\n     0.1E+06\n",
     }
     text = "".join(f"> {title}\n{lines}" for title, lines in frames.items())
-    found = read_navigation(written(HEADER_3.replace("3.04", "4.01") + text))
-    assert same(found, read_navigation(written(HEADER_2 + G05 + G12)))
+    want = read_navigation(written(HEADER_2 + G05 + G12))
+    path = written(HEADER_3.replace("3.04", "4.01") + text)
+    assert same(read_navigation(path), want)
+    assert same(read_navigation(path, "GC"), want)
 
 
 def test_a_blank_field_drops_a_record_only_where_orbits_need_it(written):

@@ -113,6 +113,7 @@ WRITERS = {
     "of rows alone": lambda t: t.replace("\n", ",\n").replace(",\n", "\n", 1),
     "row names of R": lambda t: t.replace("\n", "\n1,").removesuffix("1,"),
     "put behind": lambda t: f"{t}{t}",
+    "heads put behind": lambda t: t + 2 * t.splitlines(keepends=True)[0],
     "time_ms": lambda t: t.replace("timestamp", "time_ms").replace(".0,4b", "000,4b"),
 }
 
@@ -132,6 +133,16 @@ def test_seconds_of_a_day_that_begin_again_count_on(table):
     track, report = cleaned(table.assign(timestamp=late))
     assert (report.unsorted, report.fixes) == (0, len(table))
     assert track.duration == cleaned(table)[0].duration
+    k = int(np.argmin(late))  # the first row after midnight, which comes one too early
+    crossed = [*range(k - 1), k, k - 1, *range(k + 1, len(table))]
+    _, report = cleaned(table.assign(timestamp=late).iloc[crossed])
+    assert (report.unsorted, report.fixes, report.duration_s) == (1, len(table), track.duration)
+
+
+def test_a_date_of_another_day_moves_no_row_but_its_own(table):
+    early = spoil(table, "timestamp", 20, table["timestamp"][20] + 86_400.0)
+    _, report = cleaned(early)
+    assert (report.fixes, report.duration_s) == (len(table) - 1, cleaned(table)[0].duration)
 
 
 def test_rows_out_of_order_are_sorted_and_it_is_said(table):

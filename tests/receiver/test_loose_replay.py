@@ -204,6 +204,13 @@ def test_what_cannot_be_is_refused_with_its_cause(recording, mistake):
         replay(replace(recording, **change(recording)), RECEIVER, noise_variance=NOISE**2)
 
 
+def test_positions_may_be_noisier_than_they_move_from_epoch_to_epoch(recording):
+    rng, noise = np.random.default_rng(5), np.repeat([30.0, 0.1], 3)
+    position = recording.position_e + noise[:3] * rng.standard_normal(recording.position_e.shape)
+    found = replay(replace(recording, position_e=position), RECEIVER, noise_variance=noise**2)
+    assert not found.flag.any()
+
+
 def test_noise_must_fit_and_wrong_rates_are_named(recording):
     for noise, said in (
         (None, "assumes no noise of velocities: give `noise_variance`"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -34,6 +35,7 @@ def collect_episodes(
     """
     try:
         import minari
+        from minari.dataset.minari_dataset import parse_dataset_id
     except ImportError as error:
         raise ImportError(
             f"a data set of Minari needs {error.name}: pip install 'minari[arrow,create]' ({error})"
@@ -46,6 +48,9 @@ def collect_episodes(
             return super().__call__(env, obs, {"cost": info.get("cost", 0.0)}, **rest)
 
     bar = progress or NullProgress()
+    if re.search(r"-v\d+$", name) is None:
+        raise ValueError(f"the id of a data set must end in a version, such as {name}-v0")
+    parse_dataset_id(name)  # which refuses other characters
     if name in minari.list_local_datasets():
         raise ValueError(f"there is a data set {name} already; choose another name or version")
     own = {"detector": detector, "knowledge": knowledge}
