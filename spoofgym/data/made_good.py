@@ -180,7 +180,7 @@ def find_mistaken_altitude(
     tell that times are in seconds; NaN without one."""
     feet = "altitudes seem to be in feet, and taken as metres (--altitude-unit ft)"
     metres = "altitudes seem to be in metres, and taken as feet (--altitude-unit m)"
-    levels = "altitudes seem to be flight levels, and taken as feet (--altitude-unit fl; ft where they are right)"
+    levels = "altitudes seem to be flight levels, taken as feet (--altitude-unit fl; ft if right)"
     later = np.minimum(np.searchsorted(time, time + 20.0), time.size - 1)
     span = np.where(later > np.arange(time.size), time[later] - time, np.nan)
     mean = 0.5 * (vertical_rate + vertical_rate[later])
