@@ -229,7 +229,7 @@ def spoil(table, column, row, value):
             lambda t: t.assign(
                 altitude=t["altitude"] / 100.0, groundspeed=t["groundspeed"] * 3.0
             ).assign(timestamp=START_S + (t["timestamp"] - START_S) / 3.0),
-            "altitudes seem to be flight levels, taken as feet .--altitude-unit fl; ft if right.: at 20 m",
+            "altitudes seem to be flight levels, taken as feet .--altitude-unit fl; ft if right.",
         ),
         (lambda t: spoil(t, "latitude", 5, 91.5), r"-90 and 90 deg, got 91.5 deg in row 6"),
         (lambda t: spoil(t, "altitude", 5, 1e9), r"`altitude` must .* 50000 m, got 304800000 m in"),
