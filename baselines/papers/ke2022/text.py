@@ -30,8 +30,8 @@ FINDINGS = """\
   if told 5 m.  Told the wrong channel, they accuse it.
 - **The misses of tables 6 and 8 depend on the satellite.**  With constant biases M2 misses 5 m
   in 4 to 66 % of the runs and 0.05 m/s in 0 to 72 %, depending on the satellite; without biases
-  it misses none, except on S11, whose redundancy is low: 66 and 74 %.  The printed 74 % and 42
-  % are within three standard errors of that range, which is so wide that it says little.
+  it misses none, except on S11, whose redundancy is low: 66 and 74 %.  The printed 74 % and
+  42 % are within three standard errors of that range, which is so wide that it says little.
 - **The position errors of Figs. 9b and 10b are those of one run.**  The printed 1.0 to 1.2 m to the
   north and 1.3 to 1.4 m to the east lie among our single runs with constant biases, whose medians
   are 3.1 and 2.7 m; with white noise alone ours are half of the printed ones.
