@@ -41,7 +41,7 @@ def collect_episodes(
             f"a data set of Minari needs {error.name}: pip install 'minari[arrow,create]' ({error})"
         ) from error
 
-    class Cost(minari.StepDataCallback):  # type: ignore[misc]
+    class Cost(minari.StepDataCallback):  # type: ignore[misc]  # Minari is no dependency
         """Records the cost; a reset has none, and Minari wants it there, too."""
 
         def __call__(self, env: Any, obs: Any, info: Any, **rest: Any) -> Any:
