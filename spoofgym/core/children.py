@@ -104,22 +104,21 @@ def count_family(process: int, most: int) -> int:
 
 
 def end_family(process: int) -> None:
-    """Kill the leader of a group, all of the group, and what it has adopted of other sessions."""
+    """Kill what a group's leader has started or adopted, wait until it is gone, then kill the
+    group: children that outlived their parent would stay as zombies where no init reaps them."""
     with suppress(ProcessLookupError):
         os.kill(process, signal.SIGSTOP)  # it starts no more
-        for _ in range(GENERATIONS):  # of a child that is killed the children are its own now
-            children = list_children(process)
-            for child in children:
+        end = time.monotonic() + ENDING_S
+        while (children := list_children(process)) and time.monotonic() < end:
+            for child in children:  # the children of one that is killed are `process`'s own now
                 with suppress(ProcessLookupError):
                     os.kill(child, signal.SIGKILL)
-            if not children:
-                break
             time.sleep(0.001)
         os.killpg(process, signal.SIGKILL)
 
 
-GENERATIONS = 100
-"""Of a process that forks and ends, which are followed."""
+ENDING_S = 5.0
+"""How long processes that go on forking, or that a busy machine ends slowly, are followed."""
 WATCH_S = 0.2
 """How often a process that others wait for is looked at."""
 
