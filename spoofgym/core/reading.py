@@ -187,6 +187,16 @@ def check_table(rows: int, columns: int) -> None:
         raise ValueError(f"it must hold at most {MOST_CELLS} values, got {rows * columns}")
 
 
+def choose_columns(names: Sequence[str], row: Sequence[str]) -> dict[str, Any]:
+    """For pandas, by a table's head and first row: the named columns where rows end with separators
+    alone; a ValueError where they have values without a name, for which it would shift all columns.
+    One more is sound where R has numbered the rows."""
+    more = row[len(names) :]
+    if any(more) and (len(more) > 1 or row[0] not in ("0", "1")):
+        raise ValueError(f"its head names {len(names)} columns, its first row has {len(row)}")
+    return {"index_col": False, "usecols": range(len(names))} if more and not any(more) else {}
+
+
 def read_table(path: Path, columns: Sequence[str] = (), *, header: bool = True) -> pandas.DataFrame:
     """Table of a CSV or Parquet file; of Parquet the named columns alone, where there are any.
     Without a `header` the columns have the names 1, 2, 3."""
@@ -200,14 +210,16 @@ def read_table(path: Path, columns: Sequence[str] = (), *, header: bool = True) 
         raise name_extra("a table", error, "flights") from error
     if not packed:
         content = read_lines(path)
-        width = content.split(b"\n", 1)[0].count(b",") + 1
-        check_table(content.count(b"\n") + 1, width)
+        lines = content.decode("latin-1").split("\n", 2)[:2]
+        head, row = ([x.strip() for x in line.split(",")] for line in (*lines, "")[:2])
+        check_table(content.count(b"\n") + 1, len(head))
+        numbers = range(1, len(head) + 1)
         return pandas.read_csv(
             io.BytesIO(content),
             encoding="utf-8-sig",
             skipinitialspace=True,
             na_values=["nan(ind)", "-nan(ind)"],  # of Microsoft's C library
-            **({} if header else {"header": None, "names": range(1, width + 1)}),
+            **(choose_columns(head, row) if header else {"header": None, "names": numbers}),
         )
     file = ParquetFile(io.BytesIO(read_file(path)))
     found = [name for name in columns or file.schema.names if name in file.schema.names]

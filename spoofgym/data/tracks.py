@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.declared import check_word
-from ..core.reading import FileError, check_table, parse_json, read_file, read_lines
+from ..core.reading import FileError, check_table, choose_columns, parse_json, read_file, read_lines
 from ..core.registry import require
 
 if TYPE_CHECKING:
@@ -276,7 +276,6 @@ def _read_csv(content: bytes) -> pandas.DataFrame:
     rows = csv.reader(StringIO(text), delimiter=apart, skipinitialspace=True)
     seen = list(islice(filter(None, rows), 2))
     check_table(text.count("\n") + 1, max(map(len, seen), default=0))
-    more = seen[-1][len(seen[0]) :]  # blank where lines end with what is between values
     names = pandas.read_csv(StringIO(text), sep=apart, nrows=0).columns
     kinds = {name: str for name in names if _plain_name(name) in AIRCRAFT}
     commas = apart != "," and re.search(rf"(^|[{apart}\n])\s*-?\d+,\d+\s*([{apart}\n]|$)", text)
@@ -285,7 +284,7 @@ def _read_csv(content: bytes) -> pandas.DataFrame:
         StringIO(text), sep=apart, dtype=kinds, decimal="," if commas else ".",
         thousands="." if commas and not points else None,
         skipinitialspace=True, low_memory=False, na_values=["-", "--"],
-        index_col=False if more and not any(more) else None,
+        **choose_columns(seen[0], seen[-1]),
     )  # fmt: skip
 
 

@@ -25,6 +25,7 @@ from spoofgym.core.reading import (
     parse_array,
     parse_json,
     read_json,
+    read_table,
 )
 from spoofgym.core.registry import parse_spec
 from spoofgym.data.rinex import read_navigation
@@ -132,6 +133,18 @@ def test_a_large_card_is_refused_by_its_size(tmp_path: Path) -> None:
     path.write_bytes(b"[" + b" " * LARGEST_CARD)
     with pytest.raises(ValueError, match=r"large\.json is too large: valid are at most 4 MiB"):
         Card.load(path)
+
+
+@pytest.mark.parametrize("end", ["", ",", ",,"])
+def test_rows_of_a_table_may_end_with_separators_and_not_with_values(
+    end: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text("a, b\n" + "".join(f"{k}5,{k}6{end}\n" for k in range(3)))
+    assert read_table(path).to_numpy().tolist() == [[5, 6], [15, 16], [25, 26]]
+    path.write_text(path.read_text().replace(f"6{end}\n", "6,7\n"))
+    with pytest.raises(ValueError, match="its head names 2 columns, its first row has 3"):
+        read_table(path)
 
 
 def test_arrays_and_archives_are_refused_from_their_headers(tmp_path: Path) -> None:

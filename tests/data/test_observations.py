@@ -102,7 +102,7 @@ def test_a_table_of_raw_measurements(written):
     assert o.sd[0, 1::2] == pytest.approx([0.5, 0.2 * SPEED_OF_LIGHT / 1575.42e6])
     assert o.left_out == {"of other systems or signals": 2}
     with pytest.raises(FileError, match="missing: doppler_hz"):
-        read_observations(written([",".join(TABLE[:-1]), rows[0]], "raw.csv"))
+        read_observations(written([",".join(TABLE[:-1]), rows[0][:24]], "raw.csv"))
 
 
 @pytest.mark.parametrize(
