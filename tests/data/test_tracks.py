@@ -131,8 +131,8 @@ def test_habits_of_writers_of_csv(tmp_path, table, writer):
 def test_rows_of_more_values_than_the_head_names_shift_no_columns(tmp_path, table):
     path = tmp_path / "t.csv"
     path.write_text(table.to_csv(index=False).replace("\n", ",7\n").replace(",7\n", "\n", 1))
-    said = f"t.csv can.t be read as CSV: its head names {len(table.columns)} columns, its first row has "
-    with pytest.raises(ValueError, match=f"{said}{len(table.columns) + 1}"):
+    n = len(table.columns)
+    with pytest.raises(ValueError, match=f"names {n} columns, its first row has {n + 1}"):
         read_track(path)
 
 
