@@ -31,9 +31,9 @@ class AuditOptions:
     )
     budget: str | None = Option(
         None,
-        help="Size of all that is played: quick, standard or full, some 1, 3 or 12 minutes of "
-        "a processor for a plain detector in D1; longer for a class of your own, in a process of "
-        "its own, whose calibration comes first, once, in some 3 minutes. Default: standard; "
+        help="How much is played: quick, standard or full, some 1, 3 or 12 minutes of a "
+        "processor for a plain detector in D1. A class of your own takes longer, in a process of "
+        "its own; its calibration comes first, once, and takes some 3 minutes. Default: standard; "
         "quick with --check.",
     )
     family: list[str] | None = Option(
@@ -55,8 +55,8 @@ class AuditOptions:
     )
     log: Path | None = Option(
         None,
-        help="Log of a receiver with the matrices of its filter, on whose clean windows it "
-        "plays in place of a task; thresholds are those of its own windows.",
+        help="Log of a receiver, with the matrices of its filter. Its clean windows are played "
+        "in place of a task, with thresholds from these windows.",
     )
     false_alarms_per_hour: float | None = Option(
         None, help="With --log: rate of the thresholds. Default: what a detector requests."
@@ -118,7 +118,7 @@ def audit_(
     *,
     spoofer: str | None = Option(
         None,
-        help="Spoofer in place of a detector, against those of the standard suite; a shipped "
+        help="Audit a spoofer instead, against the detectors of the standard suite; a shipped "
         f"name or an .onnx file, too. {opt.SPEC_HELP}",
     ),
     check: Path | None = Option(
@@ -132,8 +132,8 @@ def audit_(
 ) -> None:
     """Say what the worst attack known does to a detector, and how sure that is; resumable.
 
-    It is first calibrated to the rate that it requests, 0.2 false alarms an hour by default,
-    unless that is done.  The last line is the answer.
+    The detector is first calibrated to the rate that it requests, 0.2 false alarms an hour by
+    default, unless that has been done.  The last line is the answer.
 
     Examples: `spoofgym audit my_module:MyDetector --budget quick`;
     `spoofgym audit ewma:smoothing=0.2 --task D1 --task D2`;

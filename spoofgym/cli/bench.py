@@ -40,8 +40,8 @@ def bench(
     spoofer: list[str] | None = Option(
         None,
         help="Spoofer, may be repeated. Its amplitude, or the rate of a plain ramp, is fitted "
-        "to the alarm budget; step:size_m=tuned has that setting fitted, step:amplitude=1 "
-        "nothing. A shipped spoofer by its name, a learned one by "
+        "to the alarm budget; with step:size_m=tuned that setting is fitted, with "
+        "step:amplitude=1 none. A shipped spoofer by its name, a learned one by "
         "its .onnx file. Default: ramp, accelerating-ramp, open-loop and feedback; with "
         "options of the world none, step, ramp, accelerating-ramp, open-loop, and the shipped "
         "ones that fit.",
@@ -53,14 +53,14 @@ def bench(
     fit_only: bool = Option(
         False,
         "--fit-only",
-        help="Fit spoofers to the alarm budget, print what was tried, and play no more; the "
-        "same command without it goes on from there.",
+        help="Fit spoofers to the alarm budget, print what was tried, and stop; the same "
+        "command without it goes on from there.",
     ),
     as_json: opt.Json = False,
     verbose: Verbose = False,
     options: SuiteOptions,
     alarm_budget: float = Option(
-        0.05, help="Share of the runs that may alarm, of those without a false alarm; see --rule."
+        0.05, help="Share of runs without a false alarm that may alarm under attack; see --rule."
     ),
     training_runs: int | None = Option(
         None,
@@ -85,24 +85,24 @@ def bench(
         None,
         min=0,
         max=opt.LARGEST_RUNS,
-        help="Runs on which the worst attack of the suite is chosen; with 0 none is, and what "
-        "it exceeds is left out.",
+        help="Runs on which the worst attack of the suite is chosen. With 0 none is chosen, "
+        "and what it exceeds is left out.",
     ),
     threads: opt.Threads = None,
     jobs: int | None = Option(
         None,
         min=1,
-        help="Processes of this machine that compute at a time. Default: 1; in the default world, "
-        "the processors.",
+        help="Processes on this machine that compute in parallel. Default: 1; in the default "
+        "world, the number of processors.",
     ),
     backend: opt.Backend = "local",
     shard: opt.Shard = None,
 ) -> None:
     """Play detectors against spoofers on the same runs (resumable).
 
-    Without options of the world it is that of task S1. All detectors are calibrated to one rate of
-    false alarms, 0.2 an hour unless another one is given. Sky, heading, onset and turn-on constants
-    of the sensors are drawn for every run, unless --set domain=... says otherwise.
+    Without options of the world, the world is that of task S1. All detectors are calibrated to one
+    rate of false alarms, 0.2 an hour unless another one is given. Sky, heading, onset and turn-on
+    constants of the sensors are drawn for every run, unless --set domain=... says otherwise.
     """
     from ..bench.experiments.campaign import Campaign
     from ..bench.experiments.evaluate import get_rule
@@ -161,7 +161,7 @@ def bench(
 def report(
     folder: Path = Argument(Path("results"), help="Folder of the results."),
     out: Path | None = Option(
-        None, help="Every run of a campaign as a row, too: file, .mat or .parquet."
+        None, help="Also write every run of a campaign as a row: to a file, .mat or .parquet."
     ),
     as_json: opt.Json = False,
     verbose: Verbose = False,

@@ -74,9 +74,9 @@ def dataset(
 ) -> None:
     """Write labelled episodes to train a detector on (resumable).
 
-    A run has two episodes, with and without the attack, of 4 bytes an epoch and observation; a
-    reader needs twice that in memory. Where the domain draws ages (`age_s`) all episodes are as
-    long as the oldest: by default a run takes 3 MB, with an hour before the attack.
+    A run has two episodes, with and without the attack, together 4 bytes for each epoch and
+    observation; reading needs twice that in memory. Where the domain draws ages (`age_s`) all
+    episodes are as long as the oldest: by default a run takes 3 MB, with an hour before the attack.
     """
     from ..bench.experiments import Store
     from ..bench.report.results import DATASET

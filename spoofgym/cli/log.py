@@ -141,7 +141,7 @@ def attack_(
     threads: opt.Threads = None,
     as_json: opt.Json = False,
 ) -> None:
-    """Say what attacks reach unseen on a clean log's noise, by the linear response of its filter.
+    """Compute how far attacks get unseen on a clean log's noise, by its filter's linear response.
 
     The log needs the matrices of its filter.  Constant and accelerating ramps, a step and an
     optimized open-loop attack are played on its windows, each where the alarm budget allows it and
@@ -234,8 +234,8 @@ def import_log(
     grade: str = Option("consumer", help="Grade of the inertial sensors."),
     noise_factors: tuple[float, float] = Option(
         (1.0, 1.0),
-        help="Factors on the standard deviations of pseudoranges and range rates, those of the "
-        "receiver itself or 2.5 m and 0.1 m/s.",
+        help="Factors on the standard deviations of pseudoranges and range rates: the "
+        "receiver's own, or 2.5 m and 0.1 m/s if it states none.",
     ),
     keep_odd: bool = Option(
         False,
@@ -245,8 +245,8 @@ def import_log(
     ),
     as_json: opt.Json = False,
 ) -> None:
-    """Write a log of an autopilot, or of a filter run over raw measurements, as one of innovations;
-    or such a log in the other form."""
+    """Write a log of innovations: of an autopilot's log, or of raw measurements that a filter runs
+    over. Or convert such a log to its other form, table or matrices."""
     from ..receiver.autopilots import read_dataflash, read_ulog
     from ..receiver.log import InnovationLog, check_written
     from ..receiver.raw_measurements import read_raw_log

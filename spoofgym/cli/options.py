@@ -40,7 +40,7 @@ Threads = Annotated[
     int | None, Option(min=1, help="Threads of the engine. Default: all useful cores.")
 ]
 Processes = Annotated[
-    int, Option("--jobs", min=1, help="Processes of this machine that compute at a time.")
+    int, Option("--jobs", min=1, help="Processes on this machine that compute in parallel.")
 ]
 Backend = Annotated[
     str,
@@ -125,7 +125,7 @@ class WorldOptions:
     env: str | None = Option(
         None,
         help=f"Environment; the other options change its settings. Default: {ENV}, the world "
-        f"of task S1, or with --scenario or --track {PLAIN}, whose settings are those of the "
+        f"of task S1; with --scenario or --track, {PLAIN}, whose settings are those of the "
         "papers. See `spoofgym list envs`.",
     )
     settings: list[str] | None = Option(

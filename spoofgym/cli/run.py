@@ -31,7 +31,7 @@ class RunOptions(SuiteOptions):
     detector: str | None = Option(
         None,
         help="Detector; an .onnx file, too. Default: that of the world; with --scenario or "
-        "--track ewma, or one that suits the victim. "
+        "--track, ewma or one that suits the victim. "
         f"{opt.SPEC_HELP}",
     )
     spoofer: str = Option(
@@ -51,16 +51,16 @@ def run(
     *,
     out: Path = Option(
         Path("episode.png"),
-        help="File of the picture, .png without an ending; an animation by .gif, .webp, or "
-        ".mp4, which needs FFmpeg; every epoch as numbers by .mat or .parquet.",
+        help="File to write. A picture; .png if the name has no ending. With .gif, .webp or "
+        ".mp4 (needs FFmpeg) an animation; with .mat or .parquet every epoch as numbers.",
     ),
     picture: bool = Option(True, help="Draw the picture."),
     fps: float = Option(10.0, help="Frames of an animation a second."),
     every: int | None = Option(
         None,
         min=1,
-        help=f"Draw a frame of an animation every so many epochs, or decisions where the world has "
-        f"them. Default: so many that there are at most {MOST_FRAMES}.",
+        help=f"Epochs for each frame of an animation, or decisions where the world has them. "
+        f"Default: as many as keep the frames to {MOST_FRAMES} at most.",
     ),
     as_json: opt.Json = False,
     options: RunOptions,

@@ -24,9 +24,9 @@ def warmup(
 ) -> None:
     """Compile for this machine what first episodes need, so that none of them waits for it.
 
-    Every environment plays an episode as single and as vector environment, and so do all detectors
-    at once, in three to eight minutes of a processor. What was compiled is stored for all later
-    processes, until spoofgym or numba changes. After it `bench` and `limits` still compile for some
+    Every environment plays an episode, single and vector, and so does one with all detectors. It
+    takes three to eight minutes of processor time. The compiled code is stored for all later
+    processes, until spoofgym or numba changes. Then `bench` and `limits` still compile for some
     3 s, `demo` for less than 1 s.
     """
     import gymnasium as gym
