@@ -17,6 +17,7 @@ from spoofgym.bench.runs.players import (
 from spoofgym.core.registry import build_spec, load_class, make, parse_spec, slug
 from spoofgym.core.settings import compute_digest, describe, diff_settings
 from spoofgym.detectors import DETECTORS, Detector, Ewma
+from spoofgym.detectors.isolated import isolate
 from spoofgym.spoofers import SPOOFERS, Ramp, Scaled, Spoofer, make_spoofer
 
 EWMA = "spoofgym.detectors.charts:Ewma"
@@ -82,6 +83,8 @@ def test_a_class_of_the_user():
     assert specify_detector({"name": EWMA, "smoothing": 0.5}).spec["name"] == "ewma"
     entry = specify_detector({"name": f"{__name__}:Plain", "level": 3.0})
     assert entry.label == "Plain(level=3)"
+    assert specify_detector(isolate(entry.spec)).label == entry.label
+    assert specify_detector(isolate({**entry.spec, "level": 4.0})).label == "Plain(level=4)"
     assert make("detector", DETECTORS, Detector, entry.spec).level == 3.0
     with pytest.raises(TypeError, match=r"must keep its settings .* it has no 'factor'"):
         specify_detector(Forgetful())

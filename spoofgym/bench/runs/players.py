@@ -169,7 +169,9 @@ def specify_detector(spec: str | Mapping[str, Any] | Detector) -> PlayerSpec:
     inner = detector.detector if isinstance(detector, Calibrated) else detector
     if full["name"] == ISOLATED:  # named as what is in it
         own = {key: value for key, value in full.items() if key not in inspect_settings(Isolated)}
-        label = format_label({**own, **split_spec(full["detector"])[0]}, default)
+        settings, _ = split_spec(full["detector"])
+        shown = {**settings, **own, "name": settings["name"]}
+        label = format_label(shown, {**dict.fromkeys(settings), **default})
     elif inner.card is None:
         label = _label("detector", DETECTORS, inner, full, default)
     else:
