@@ -16,8 +16,8 @@ by the share of the runs in which it raises no alarm.
 
 In a campaign passive detectors share one response replay.  A curve found by replay is played on the
 engine, too, and where its displacement is another one there, the search is done again on the
-engine.  A few alarms decide on an amplitude: so the plain curves and the campaign's own profiles are
-fitted like the one that was found, and the best one is played: on training runs by the rule
+engine.  A few alarms decide on an amplitude: so the plain curves and the campaign's own profiles
+are fitted like the one that was found, and the best one is played: on training runs by the rule
 `upper-limit`; by `exact` on the scored ones, where the curve is chosen on one half of the runs and
 scored on the other.
 """
