@@ -83,28 +83,27 @@ def build_scores_page(
     begun = [each for each in found if each not in {record["detector"] for record in records}]
     missing = [f"{each} / {key}" for each in begun for key in keys if (each, key) not in played]
     names = ", ".join(found)
-    families = FAMILIES if len(found) > 1 else Table(*FAMILIES.columns[:-1])
+    hidden = "detector" if len(found) < 2 else ""  # whose name is the title
+    tables = (
+        Table(*(column for column in table.columns if column.title != hidden))
+        for table in (DETECTOR_SCORES, FAMILIES)
+    )
     searches = (cell.identity.get("search") for cell, _ in store.read_all() if cell.identity)
-    context = {
-        "world": config.get("world", {}),
-        "replay": replay or {},
-        "search": next(filter(None, searches), None),
-    }
-    played = [("detector", names), ("all settings", dict(list_played_settings(store)))]
-    for record in records[-1:]:
-        settings = ((text, record.get(key)) for key, text in PLAYED.items())
-        played[1:1] = [(text, value) for text, value in settings if value is not None]
+    more = config.get("world", {}), replay or {}, next(filter(None, searches), None)
+    last = records[-1] if records else {}
+    settings = [(text, last[key]) for key, text in PLAYED.items() if last.get(key) is not None]
+    world = f": {last['title']}" if "title" in last else ""
     return Page(
-        title=f"Detector {names}, task {config['task']}" if found else config["task"],
-        verdict=[x for each in records for x in write_score_verdict(each, **context)] or [UNSCORED],
+        title=f"Detector {names}, task {config['task']}{world}" if found else config["task"],
+        verdict=[x for each in records for x in write_score_verdict(each, *more)] or [UNSCORED],
         missing=missing if found else keys,
         pictures=list_score_pictures(found, rows, records, limit_m, task),
         sheets=[
-            Sheet("Detectors", DETECTOR_SCORES, records, BENIGN),
-            Sheet("Families of attacks", families, rows, HELD_OUT),
+            Sheet("Detectors", next(tables), records, BENIGN),
+            Sheet("Families of attacks", next(tables), rows, HELD_OUT),
         ],
         replay=replay,
-        played=played,
+        played=[("detector", names), *settings, ("all", dict(list_played_settings(store)))],
         scores=scores,
     )
 
@@ -138,11 +137,11 @@ def replay_worst_attack(
 def _describe_attack(episode: Episode) -> Row | None:
     """How the false position of a run moves, at five times from the first epoch to the end of the
     attack; None where the spoofer commands none."""
-    setup, attack, way = episode.setup, episode.setup.attack, []
-    for frame in episode.frames[: setup.steps]:
-        if frame.displacement_ne is None:
-            return None
-        way.append(frame.displacement_ne)
+    setup, attack = episode.setup, episode.setup.attack
+    moved = (frame.displacement_ne for frame in episode.frames[: setup.steps])
+    way = [each for each in moved if each is not None]
+    if not way:
+        return None
     rates = np.linalg.norm(np.diff(way, axis=0, prepend=0.0), axis=1) / setup.interval_s
     rows = [max(round(part * len(way)) - 1, 0) for part in (0.0, 0.25, 0.5, 0.75, 1.0)]
     north, east = way[-1]
@@ -152,9 +151,7 @@ def _describe_attack(episode: Episode) -> Row | None:
         "displacement_m": round(float(np.hypot(north, east)), 2),
         "heading_deg": round(float(np.degrees(np.arctan2(east, north))) % 360.0),
         "rate_limit_mps": attack.rate_limit_mps,
-        "acceleration_limit_mps2": None
-        if attack.control == "rate"
-        else attack.acceleration_limit_mps2,
+        "acceleration_limit_mps2": attack.acceleration_limit_mps2 * (attack.control != "rate"),
         "channels": attack.channels,
         "sees_statistic": sees_statistics(make_spoofer(episode.spoofer.spec).knowledge),
     }
@@ -183,10 +180,7 @@ def load_families(store: Store) -> dict[str, list[FamilyScore]]:
 
 
 def write_score_verdict(
-    record: Row,
-    world: Mapping[str, Any],
-    replay: Mapping[str, Any],
-    search: Mapping[str, Any] | None = None,
+    record: Row, world: Row, replay: Row, search: Row | None = None
 ) -> list[tuple[str, ...]]:
     """What a detector misses, by what attack, after how long, and how sure that is: heads and
     texts, in which each family of attacks stands once, explained. `search`: how open-loop attacks
@@ -201,32 +195,15 @@ def write_score_verdict(
         for key, shares in far.items()
     }
     farthest, most = next(iter(far)), record["p_hmi"]
-    often = worst.setdefault(record["worst_family"], [])
-    often.append(
-        f"passes {limit_m:g} m with no alarm in time (P(HMI)) most often, in {percent(most)} % of "
-        "its runs"
-    )
-    other = families[farthest]["p_hmi"]
+    text = f"passes {limit_m:g} m with no alarm in time (P(HMI)) most often, in {percent(most)} % "
+    text, other = f"{text}of its runs", families[farthest]["p_hmi"]
     if record["worst_family"] != farthest and other["value"] is not None:
-        often[-1] += f", against {percent(other)} % of those of {farthest}"
-        often[-1] += ", a difference within the intervals" * (other["high"] > most["low"])
-    fixed = {"attack_s": 150.0, **world, **world.get("timeline", {})}
-    shown = replay if replay.get("detector") == record["detector"] and "attack" in replay else {}
-    errors = zip(shown.get("time", ()), shown.get("error", ()), strict=True)
-    values = {
-        "record": record,
-        "worst": worst,
-        "explain": explain_family,
-        "attack_s": fixed["attack_s"],
-        "ages_s": world.get("domain", {}).get("age_s"),
-        "replay": shown,
-        "crossed_s": next((time for time, error in errors if error > limit_m), None),
-        "search": search,
-        "slow": sum(
-            rate * fixed["attack_s"] <= limit_m
-            for rate in record.get("ages", {}).get("rate_mps", ())
-        ),
-    }
+        text += f", against {percent(other)} % of those of {farthest}"
+        text += ", a difference within the intervals" * (other["high"] > most["low"])
+    worst.setdefault(record["worst_family"], []).append(text)
+    shown = replay if replay.get("detector") == record["detector"] else {}
+    values = {"record": record, "worst": worst, "explain": explain_family}
+    values |= {"world": world, "replay": shown, "search": search}
     lines = render_template("verdict.txt.j2", values).splitlines()
     return [tuple(line.split(": ", 1)) for line in lines]
 
@@ -290,8 +267,8 @@ def list_score_pictures(
         rates = probed[0]["ages"]["rate_mps"]
         caption = (
             f"The same {len(rates)} plain ramps of {min(rates):.2g} to {max(rates):.2g} m/s in the "
-            "same runs, begun at each of these times, with 95 % intervals. The attacks that were "
-            "chosen against the detector are missed more often."
+            "same runs, begun at each of these times, with 95 % intervals. Attacks that are chosen "
+            "against the detector may be missed more often."
         )
         x, y = "time from switch-on to the onset of the ramp [min]", "ramps with an alarm [%]"
         draw = figures.draw_lines([_ages(each, several) for each in probed], x, y, log="x")

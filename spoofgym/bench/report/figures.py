@@ -33,10 +33,8 @@ INK = "#010203"
 """Colour of texts and axes: that of the page's text, light or dark."""
 PAPER = "#fdfcfb"
 """Colour behind labels: that of the page."""
-PAGE_COLOURS = {
-    **{INK: "currentColor", "#000000": "currentColor"},
-    **{GRID: "var(--grid)", PAPER: "var(--paper)"},
-}
+PAGE_COLOURS = {INK: "currentColor", "#000000": "currentColor", GRID: "var(--grid)"}
+PAGE_COLOURS[PAPER] = "var(--paper)"
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "spoofgym",
