@@ -162,11 +162,13 @@ COMMON = {
     family.key: family
     for family in (
         AttackFamily("ramps", "drifts at a constant or a growing rate", "a"),
-        AttackFamily("profiles", "drifts whose rate grows in other ways", "b"),
+        AttackFamily("profiles", "drifts whose rate grows by one of three fixed curves", "b"),
         AttackFamily(
             "feedback", "a drift that slows as the detector's statistic, which it sees, grows", "e"
         ),
-        AttackFamily("dashes", "no drift, and then the fastest that is allowed", "h"),
+        AttackFamily(
+            "dashes", "no drift, then one at a constant rate in the attack's last 40 or 15 %", "h"
+        ),
         AttackFamily(
             "quiet",
             "signals with less noise than real ones",
@@ -198,7 +200,7 @@ COMMON = {
         ),
         AttackFamily(
             "chance-alarm",
-            f"onset within {NEAR_ALARM_S:g} s of a false alarm, or nearly one",
+            f"onset within {NEAR_ALARM_S:g} s after a false alarm, or a statistic close to one",
             "ah",
             True,
             onset="chance-alarm",

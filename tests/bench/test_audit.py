@@ -14,6 +14,7 @@ from spoofgym.bench.experiments.audit_cells import BUDGETS, AuditCells
 from spoofgym.bench.experiments.runner import run_experiment
 from spoofgym.bench.experiments.store import Store
 from spoofgym.bench.report.audit import LINES, WIDTH, format_screen
+from spoofgym.bench.report.detector_page import replay_worst_attack, write_score_verdict
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.runs.record import MEASURES, Aim, Protection, Winner
 from spoofgym.bench.scores.audit import AgeProbe, Audit
@@ -257,6 +258,33 @@ def test_what_is_as_it_should_be_is_not_warned_of():
     assert silent.answer == "mine: no score, as no run is silent without an attack"
 
 
+@pytest.mark.parametrize(("short", "tail"), [(1, ", a difference within the intervals"), (20, "")])
+def test_the_verdict_names_the_worst_attacks_and_when_the_limit_is_passed(short, tail):
+    far = family("open-loop", np.where(np.arange(RUNS) < short, 1.0, 20.0))
+    record = audit_of(family("ramps", 10.0), far, alarms=0.03).as_dict()
+    replay = {"detector": "mine", "age_s": 80.5, "alarm_s": None}
+    replay |= {"time": [0.5, 1.0, 1.5], "error": [0.0, LIMIT, 3.0], "attack": None}
+    world = {"timeline": {"attack_s": 150.0}, "domain": {"age_s": [60.0, 3600.0]}}
+    search = {"generations": 6, "population": 12, "runs": 96}
+    verdict = {head: text for head, text in write_score_verdict(record, world, replay, search)}
+    why = verdict["By what attack"]
+    assert "has the largest displacement exceeded in 50 % and in 5 % of the runs; the family" in why
+    assert f"passes {LIMIT:g} m with no alarm in time (P(HMI)) most often, in 100.0 (" in why
+    assert f"against {100 - short:.1f} (" in why
+    assert why.endswith(f" % of those of open-loop{tail}.")
+    when = verdict["After how long"]
+    assert when.startswith("the attack lasts 150 s, and an alarm counts until 10 s after an error.")
+    assert "begins 1 min to 60 min after switch-on" in when
+    assert (
+        "had been on for 80.5 s; the error passed 2 m after 1.5 s, and there was no alarm" in when
+    )
+    assert "it finds 60 %, begun 30 s to 10 min after switch-on" in when
+    assert "in 3 of 100 windows of 160 s" in verdict["False alarms"]
+    assert "a search by 6 generations of 12 candidates on 96 more" in verdict["How sure"]
+    other = dict(write_score_verdict(record, world, {**replay, "detector": "another"}))
+    assert "replayed below" not in "".join(other.values())
+
+
 def test_a_whole_audit_of_a_detector_of_ones_own(tmp_path):
     spec = {"name": "tests.outside.detectors:AverageRate", "threshold_scale": 30.0}
     sizes = {
@@ -275,6 +303,15 @@ def test_a_whole_audit_of_a_detector_of_ones_own(tmp_path):
     assert {name.rpartition("-")[2] for name in names} == {"ramps", "dashes", "worst"}
     assert found.zero_alarm is None
     assert found.cost_us > 0.0
+    plan = Auditor(small_task(), "quick", **sizes)
+    replay = replay_worst_attack(plan, specify_detector(spec), found.score.families)
+    attack, line = replay["attack"], plan.task.world_kwargs["timeline"]
+    assert (replay["age_s"], replay["attack_s"]) == (line["warmup_s"], line["attack_s"])
+    assert attack["times_s"] == [0.5, 5.0, 10.0, 15.0, 20.0]
+    moved = np.trapezoid(attack["rates_mps"], attack["times_s"])
+    assert attack["displacement_m"] == pytest.approx(moved, rel=0.1)
+    assert max(attack["rates_mps"]) <= attack["rate_limit_mps"]
+    assert not attack["sees_statistic"]
 
 
 @pytest.mark.parametrize(

@@ -348,13 +348,14 @@ class AuditCells(Experiment):
         if scored := stored_cards(DETECTOR_FILE).get(self.of.task.key):
             best, by = scored["best_classic"], "audit"
             row = next(each for each in scored["detectors"] if each["detector"] == best)
-            exceeded = row["exceeded_m"]
+            names = "exceeded_m", "p_hmi", "worst_family", "false_alarms_per_hour"
+            figures = {name: row[name] for name in names}
         elif self.card:
             best, by = self.card["detector"], "campaign"
-            exceeded = self.card["protection_m"][best]
+            figures = {"exceeded_m": self.card["protection_m"][best]}
         else:
             return None
-        return {"detector": best, "by": by, "exceeded_m": exceeded}
+        return {"detector": best, "by": by, **figures}
 
 
 def write_attacks(folder: Path | None, found: Audit) -> None:

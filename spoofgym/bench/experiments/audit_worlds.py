@@ -76,7 +76,7 @@ AGAIN, ALIKE = 8, 1e-6
 """Runs that are judged twice, and the largest difference of the two, in parts."""
 SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
 """Profiles of the letter c."""
-TRAINED = AttackFamily("shipped", "shipped spoofers that were trained against it elsewhere", "s")
+TRAINED = AttackFamily("shipped", "spoofers of the package, trained against it beforehand", "s")
 """Family of an audit alone, where there are some, and not of a task's score."""
 CACHED_PANELS, CACHED_BYTES = 24, 2e8
 """Panels that are held in memory, and what their detectors may remember: the last ones used."""

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from ...policies.card import SPOOFER
-from ...tasks import DETECTOR_TASKS
+from ...spoofers import make_spoofer
+from ...spoofers.base import sees_statistics
+from ...tasks import DETECTOR_TASKS, DetectorTask
 from ..experiments.audit_cells import AuditPlan
 from ..experiments.audit_worlds import NEAR_ALARM, TRAINED
 from ..experiments.store import Store
-from ..runs.episode import play_episode
+from ..runs.episode import Episode, play_episode
 from ..runs.panel import select_runs
 from ..runs.players import PlayerSpec
 from ..runs.record import MEASURES, Aim, Protection
@@ -28,22 +30,38 @@ from .tasks import DETECTOR_SCORES
 Row = dict[str, Any]
 FAMILIES = Table(
     ("family", lambda row: row["family"] + "*" * row["held_out"]),
-    ("its attacks", lambda row: explain_family(row["family"]) or None),
-    ("P(HMI) [% of runs]", "p_hmi", percent),
     ("exceeded in 50 % of runs [m]", lambda row: row["exceeded_m"]["0.5"], interval),
     ("in 5 % of runs [m]", lambda row: row["exceeded_m"]["0.05"], interval),
-    ("the worst of them", lambda row: row["attack"]["spoofer"]),
+    ("P(HMI) [% of runs]", "p_hmi", percent),
+    ("its attacks", lambda row: explain_family(row["family"]) or None),
+    ("the worst by P(HMI)", lambda row: row["attack"]["spoofer"]),
     ("runs that count", "counted"),
     ("detector", "detector"),
 )
-HELD_OUT = "* held out: no detector may be trained on it."
+HELD_OUT = (
+    "* held out: no detector may be trained on it. Each interval is that of one family; above, the "
+    "worst family is looked for again in every draw, which may make the interval another one."
+)
 BENIGN = (
-    "Public families are those not held out. The last column: of the runs without an attack that "
-    "have such an event, those with an alarm. A front is one of the ionosphere."
+    "Public families are those not held out. False alarms are those in the judged window; the last "
+    "column counts, of the runs without an attack that have such an event, those with an alarm at "
+    "any time since switch-on. A front is one of the ionosphere."
 )
 
 SHARE_KEYS = tuple(f"{share:g}" for share in SHARES)
 MOVED = "undetected displacement exceeded in 50 % of the runs"
+PLAYED = {
+    "task": "task",
+    "title": "world",
+    "alert_limit_m": "alert limit [m]",
+    "window_s": "attack and time to alert [s]",
+    "requested_per_hour": "false alarms that were requested [1/h]",
+    "budget": "size of the audit",
+    "runs": "runs of each family",
+    "selection_runs": "runs that attacks were chosen on",
+    "entropy": "seed",
+    "cost_us": "time for an epoch of a receiver [us]",
+}
 UNSCORED = "There are no scores yet: the command that plays them goes on."
 
 
@@ -64,17 +82,28 @@ def build_scores_page(
         keys = [each["family"] for each in records[-1]["families"]]
     begun = [each for each in found if each not in {record["detector"] for record in records}]
     missing = [f"{each} / {key}" for each in begun for key in keys if (each, key) not in played]
+    names = ", ".join(found)
+    hidden = "detector" if len(found) < 2 else ""  # whose name is the title
+    tables = (
+        Table(*(column for column in table.columns if column.title != hidden))
+        for table in (DETECTOR_SCORES, FAMILIES)
+    )
+    searches = (cell.identity.get("search") for cell, _ in store.read_all() if cell.identity)
+    more = config.get("world", {}), replay or {}, next(filter(None, searches), None)
+    last = records[-1] if records else {}
+    settings = [(text, last[key]) for key, text in PLAYED.items() if last.get(key) is not None]
+    world = f": {last['title']}" if "title" in last else ""
     return Page(
-        title=": ".join(filter(None, (config["task"], ", ".join(found)))),
-        verdict=[line for record in records for line in write_score_verdict(record)] or [UNSCORED],
+        title=f"Detector {names}, task {config['task']}{world}" if found else config["task"],
+        verdict=[x for each in records for x in write_score_verdict(each, *more)] or [UNSCORED],
         missing=missing if found else keys,
-        pictures=list_score_pictures(found, rows, records, limit_m),
+        pictures=list_score_pictures(found, rows, records, limit_m, task),
         sheets=[
-            Sheet("Detectors", DETECTOR_SCORES, records, BENIGN),
-            Sheet("Families of attacks", FAMILIES, rows, HELD_OUT),
+            Sheet("Detectors", next(tables), records, BENIGN),
+            Sheet("Families of attacks", next(tables), rows, HELD_OUT),
         ],
         replay=replay,
-        played=list_played_settings(store),
+        played=[("detector", names), *settings, ("all", dict(list_played_settings(store)))],
         scores=scores,
     )
 
@@ -99,9 +128,33 @@ def replay_worst_attack(
     episode = play_episode(world, detector, player, int(numbers[moved.argmax()]), plan.entropy)
     shown = record_replay(episode, task.alert_limit_m)
     every = (each for each in families if each.counted)
+    shown["attack"] = _describe_attack(episode)
     if (most := max(every, key=lambda each: each.protection.score_worst(aim))) is not worst:
         shown["title"] += f", of those in the world of {task.key} itself, as {most.family} is not"
     return shown
+
+
+def _describe_attack(episode: Episode) -> Row | None:
+    """How the false position of a run moves, at five times from the first epoch to the end of the
+    attack; None where the spoofer commands none."""
+    setup, attack = episode.setup, episode.setup.attack
+    moved = (frame.displacement_ne for frame in episode.frames[: setup.steps])
+    way = [each for each in moved if each is not None]
+    if not way:
+        return None
+    rates = np.linalg.norm(np.diff(way, axis=0, prepend=0.0), axis=1) / setup.interval_s
+    rows = [max(round(part * len(way)) - 1, 0) for part in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    north, east = way[-1]
+    return {
+        "times_s": [(row + 1) * setup.interval_s for row in rows],
+        "rates_mps": rates[rows].round(2).tolist(),
+        "displacement_m": round(float(np.hypot(north, east)), 2),
+        "heading_deg": round(float(np.degrees(np.arctan2(east, north))) % 360.0),
+        "rate_limit_mps": attack.rate_limit_mps,
+        "acceleration_limit_mps2": attack.acceleration_limit_mps2 * (attack.control != "rate"),
+        "channels": attack.channels,
+        "sees_statistic": sees_statistics(make_spoofer(episode.spoofer.spec).knowledge),
+    }
 
 
 def explain_family(key: str) -> str:
@@ -126,19 +179,31 @@ def load_families(store: Store) -> dict[str, list[FamilyScore]]:
     return scores
 
 
-def write_score_verdict(record: Row) -> list[tuple[str, ...]]:
+def write_score_verdict(
+    record: Row, world: Row, replay: Row, search: Row | None = None
+) -> list[tuple[str, ...]]:
     """What a detector misses, by what attack, after how long, and how sure that is: heads and
-    texts, in which each family of attacks stands once, explained."""
-    worst: dict[str, list[str]] = {}
-    for share, runs in zip(SHARE_KEYS, ("half of the runs", "5 % of them"), strict=True):
-        best = max(record["families"], key=lambda row: row["exceeded_m"][share]["value"] or 0.0)
-        roles = worst.setdefault(best["family"], [])
-        roles.append("displaces most " * (not roles) + f"in {runs}")
-    worst.setdefault(record["worst_family"], []).append(
-        f"passes {record['alert_limit_m']:g} m most often with no alarm in time, in "
-        f"{percent(record['p_hmi'])} % of its runs (P(HMI))"
-    )
+    texts, in which each family of attacks stands once, explained. `search`: how open-loop attacks
+    were looked for."""
+    limit_m, families = record["alert_limit_m"], {x["family"]: x for x in record["families"]}
+    far: dict[str, list[str]] = {}
+    for share in SHARE_KEYS:
+        best = max(families, key=lambda key: families[key]["exceeded_m"][share]["value"] or 0.0)
+        far.setdefault(best, []).append(f"in {100 * float(share):g} %")
+    worst = {
+        key: [f"has the largest displacement exceeded {' and '.join(shares)} of the runs"]
+        for key, shares in far.items()
+    }
+    farthest, most = next(iter(far)), record["p_hmi"]
+    text = f"passes {limit_m:g} m with no alarm in time (P(HMI)) most often, in {percent(most)} % "
+    text, other = f"{text}of its runs", families[farthest]["p_hmi"]
+    if record["worst_family"] != farthest and other["value"] is not None:
+        text += f", against {percent(other)} % of those of {farthest}"
+        text += ", a difference within the intervals" * (other["high"] > most["low"])
+    worst.setdefault(record["worst_family"], []).append(text)
+    shown = replay if replay.get("detector") == record["detector"] else {}
     values = {"record": record, "worst": worst, "explain": explain_family}
+    values |= {"world": world, "replay": shown, "search": search}
     lines = render_template("verdict.txt.j2", values).splitlines()
     return [tuple(line.split(": ", 1)) for line in lines]
 
@@ -148,23 +213,26 @@ def list_score_pictures(
     rows: Sequence[Row],
     records: Sequence[Row],
     limit_m: float,
+    task: DetectorTask | None,
 ) -> list[Picture]:
     if not rows:
         return []
+    others = () if task is None else (x.key for x in task.families if task.get_overrides(x))
+    foreign, several = {*others}, len(found) > 1  # attacks and worlds that the floor is not of
     floors = [each["floor_m"]["half"]["value"] for each in records if each.get("floor_m")]
     own: dict[str, list[Row]] = {}
     for row in rows:
         own.setdefault(FAMILIES.columns[0].text(row), []).append(row)
-    band = (floors[0] if floors else None, None)
+    floor = floors[0] if floors else None
     moved = [
         figures.DotRow(
             f"{key}: {explain_family(each[0]['family'])}".removesuffix(": "),
-            [figures.Dot(x["detector"], x["exceeded_m"]["0.5"]) for x in each],
-            band,
+            [figures.Dot(x["detector"] * several, x["exceeded_m"]["0.5"]) for x in each],
+            (None if each[0]["family"] in foreign else floor, None),
         )
         for key, each in own.items()
     ]
-    curves = [_hazard(detector, families) for detector, families in found.items()]
+    curves = [_hazard(name * several, families) for name, families in found.items()]
     hazards = [
         [{x["detector"]: x["p_hmi"]["value"] for x in each}.get(d) for d in found]
         for each in own.values()
@@ -174,8 +242,8 @@ def list_score_pictures(
             "Undetected displacement by family of attacks",
             "What the worst attack of each family exceeds in half of the runs with no alarm in "
             "time, with its 95 % interval; * held out from training."
-            + " Dashes: what a perfect detector would allow (floor)."
-            * bool(floors),
+            + " Grey marks: what a perfect detector would allow the best attack (floor), for the "
+            "families with the attack and ages of the task itself." * bool(floors),
             figures.draw_dots(moved, f"{MOVED} [m]", limit_m=limit_m),
             figures.dots_height(moved),
         ),
@@ -186,7 +254,7 @@ def list_score_pictures(
             figures.draw_lines(curves, "alert limit [m]", figures.HAZARD, log="x", limit_m=limit_m),
         ),
     ]
-    if len(found) > 1:
+    if several:
         heat = Picture(
             "P(HMI) by family of attacks",
             f"How often the error passes {limit_m:g} m with no alarm in time [% of the runs]; the "
@@ -199,10 +267,11 @@ def list_score_pictures(
         rates = probed[0]["ages"]["rate_mps"]
         caption = (
             f"The same {len(rates)} plain ramps of {min(rates):.2g} to {max(rates):.2g} m/s in the "
-            "same runs, begun at each of these times, with 95 % intervals. Other attacks do better."
+            "same runs, begun at each of these times, with 95 % intervals. Attacks that are chosen "
+            "against the detector may be missed more often."
         )
         x, y = "time from switch-on to the onset of the ramp [min]", "ramps with an alarm [%]"
-        draw = figures.draw_lines([_ages(each) for each in probed], x, y, log="x")
+        draw = figures.draw_lines([_ages(each, several) for each in probed], x, y, log="x")
         pictures.insert(0, Picture("Test ramps found, by the time since switch-on", caption, draw))
     return pictures
 
@@ -217,7 +286,7 @@ def _hazard(detector: str, families: Sequence[FamilyScore]) -> figures.Line:
     return figures.make_hazard_curve(detector, score)
 
 
-def _ages(record: Row) -> figures.Line:
+def _ages(record: Row, named: bool) -> figures.Line:
     ages = record["ages"]
     found = [in_percent(each) for each in ages["found"]]
-    return figures.make_curve(record["detector"], np.array(ages["age_s"]) / 60.0, found)
+    return figures.make_curve(record["detector"] * named, np.array(ages["age_s"]) / 60.0, found)

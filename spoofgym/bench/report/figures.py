@@ -31,7 +31,10 @@ if TYPE_CHECKING:
 
 INK = "#010203"
 """Colour of texts and axes: that of the page's text, light or dark."""
+PAPER = "#fdfcfb"
+"""Colour behind labels: that of the page."""
 PAGE_COLOURS = {INK: "currentColor", "#000000": "currentColor", GRID: "var(--grid)"}
+PAGE_COLOURS[PAPER] = "var(--paper)"
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "spoofgym",
@@ -171,6 +174,7 @@ def draw_dots(
             for dot in row.dots:
                 _draw_dot(ax, k, dot, names.index(dot.series))
             place: dict[str, Any] = {"transform": ax.get_yaxis_transform(), "va": "center"}
+            place["bbox"] = {"fc": PAPER, "ec": "none", "pad": 0.5}
             ax.text(0.005, k - 0.36, row.label, fontsize=8, parse_math=False, **place)
         ax.set_yticks([])
         ax.set_ylim(len(rows) - 0.5, -0.95)

@@ -70,8 +70,7 @@ def render_page(page: Page) -> str:
         svgs = [render_svg(each.draw, each.height_in) for each in page.pictures]
     except ImportError as error:
         why = f"No drawings: {error}."
-    played = [(name, x if isinstance(x, str) else json.dumps(x)) for name, x in page.played]
-    values = {"page": page, "svgs": svgs, "why": why, "played": played, "scores": None}
+    values = {"page": page, "svgs": svgs, "why": why, "scores": None}
     text = render_template("report.html.j2", {**values, "terms": {}})
     values["terms"] = {
         term: what
@@ -122,7 +121,8 @@ def store_replay(store: Store, replay: Mapping[str, Any]) -> None:
 
 
 def record_replay(episode: Episode, limit_m: float) -> dict[str, Any]:
-    """What a page shows of a run, by instant from the onset on, JSON-able."""
+    """What a page shows of a run, by instant from the onset on, JSON-able; `age_s`: how long the
+    detector had been on by then."""
     setup, count, first = episode.setup, len(episode.error_n), episode.first_alarm
     rows = sorted({*range(0, count, max(-(-count // INSTANTS), 1)), count - 1, max(first - 1, 0)})
     ratio, frames = episode.ratio[episode.onset :], [episode.frames[k] for k in rows]
@@ -132,6 +132,9 @@ def record_replay(episode: Episode, limit_m: float) -> dict[str, Any]:
 
     return {
         "title": f"{episode.spoofer.label} against {episode.detector.label}, run {episode.run}",
+        "detector": episode.detector.label,
+        "age_s": (episode.onset + setup.filter_only) * setup.interval_s,
+        "attack_s": setup.steps * setup.interval_s,
         "limit_m": limit_m,
         "alarm_s": first * setup.interval_s if first else None,
         "undetected_m": episode.summary()["undetected_displacement_m"],

@@ -126,9 +126,9 @@ def list_tasks() -> list[Card]:
     return rows
 
 
-def format_share(estimate: Card) -> str:
+def format_share(estimate: Card, digits: int = 0) -> str:
     """Proportion in per cent, without its interval."""
-    return "-" if estimate["value"] is None else share(0)(estimate["value"])
+    return "-" if estimate["value"] is None else share(digits)(estimate["value"])
 
 
 def _public(score: Card) -> Card | None:
@@ -136,12 +136,12 @@ def _public(score: Card) -> Card | None:
     return max(public, key=lambda each: each["value"] or 0.0, default=None)
 
 
-EVENTS = ("clock_step", "satellite_loss", "front")
+EVENTS = ("clean", "clock_step", "satellite_loss", "front")
 DETECTOR_SCORES = Table(
     ("detector", "detector"),
     ("P(HMI) [%], worst family", "p_hmi", percent),
     ("worst family", "worst_family"),
-    ("worst public family [%]", _public, format_share),
+    ("worst public family [%]", _public, partial(format_share, digits=1)),
     ("exceeded in 50 % [m]", lambda score: score["exceeded_m"]["0.5"], interval),
     ("in 5 % [m]", lambda score: score["exceeded_m"]["0.05"], interval),
     (
@@ -150,7 +150,7 @@ DETECTOR_SCORES = Table(
         percent,
     ),
     (
-        "clock step, lost satellite, front [%]",
+        "alarms with no event, clock step, lost satellite, front [% of runs]",
         lambda score: ", ".join(
             format_share(score["false_alarms"][event])
             for event in EVENTS

@@ -98,6 +98,7 @@ def test_the_replay_is_the_run_in_which_the_worst_attack_gets_farthest(suite, re
     assert stored[run] == stored[results.runs(label, spoofer).counts].max()
     count = len(replay["time"])
     assert count == suite.world.setup.steps + suite.world.setup.hold
+    assert replay["attack_s"] == suite.world.setup.steps * suite.world.setup.interval_s
     assert {len(replay[name]) for name in ("north", "off", "error", "ratio", "twin")} == {count}
     assert all(0 <= state <= 2 for *_, state in replay["sky"][0])
 
@@ -146,6 +147,14 @@ def test_families_of_attacks_have_a_page_finished_or_not(tmp_path):
     assert [file.name for file in files] == [*OUTPUTS[:2]]
     text = files[1].read_text()
     assert "Not finished" not in text
+    assert "<button>detector</button>" not in text  # there is one, which the title names
+    floored = {**scores["detectors"][0], "floor_m": {"half": {"value": 7.0}}}
+    drawn = build_scores_page(store, {"detectors": [floored]}).pictures
+    axes = figure_class()().subplots()
+    next(each for each in drawn if "by family" in each.title).draw(axes)
+    marks = [line.get_ydata().mean() for line in axes.lines if set(line.get_xdata()) == {7.0}]
+    (row,) = (text.get_position()[1] for text in axes.texts if text.get_text().startswith("ramps"))
+    assert marks == pytest.approx([row + 0.36])  # quiet signals are another attack
     half = Protection.parts(scored("half", "ramps", False))
     named = {"family": {"key": "ramps", "held_out": False}, **sizes}
     store.put(Cell("ramps half", named), Result(*half))
@@ -188,6 +197,8 @@ const names = () => [...table.tBodies[0].rows].map((row) => row.cells[0].textCon
 const output = () => document.querySelector("output").textContent, found = { names: [names()] };
 for (let k = 0; k < 2; k++) { button.click(); found.names.push(names()); }
 const slider = document.querySelector("#replay input");
+const shown = JSON.parse(run.textContent);
+found.first = [shown.error[slider.value], shown.undetected_m];
 found.end = output();
 slider.value = 0;
 slider.dispatchEvent(new Event("input"));
@@ -221,6 +232,7 @@ def test_in_a_browser_tables_sort_the_slider_plays_and_no_request_leaves(
     first, up, down = found["names"]
     assert first == [NAME, "never"]
     assert (up, down) == (first, first[::-1])
+    assert found["first"][0] == pytest.approx(found["first"][1], abs=0.02)
     assert found["start"] != found["end"]
     assert found["start"].startswith("0.5 s: statistic / threshold ")
     assert found["drawn"] > 20

@@ -42,13 +42,15 @@ function axes([x0, x1], [y0, y1]) {
   return { at: (a, b) => [x(a), y(b)], frame: [...across, ...up].join("") };
 }
 
-function drawCourse(run, k, values, level, twin) {
+const metres = (x) => x.toFixed(x >= 100 ? 0 : 1);
+
+function drawCourse(run, k, values, level, name, twin) {
   const end = run.time[run.time.length - 1], top = 1.1 * Math.max(...values, level, ...(twin || []));
   const { at, frame } = axes([0, end], [0, top]), points = (ys) => ys.map((y, i) => at(run.time[i], y));
   return frame + text(RIGHT, BOTTOM + 26, "time since the onset [s]", "end")
-    + line("limit", [at(0, level), at(end, level)]) + (twin ? line("clean", points(twin).slice(0, k + 1)) : "")
+    + line("limit", [at(0, level), at(end, level)]) + text(RIGHT, at(0, level)[1] - 3, name, "end") + (twin ? line("clean", points(twin).slice(0, k + 1)) : "")
     + line("attacked ahead", points(values)) + line("attacked", points(values).slice(0, k + 1)) + dot("attacked", points(values)[k])
-    + (run.alarm_s === null ? "" : line("excluded", [at(run.alarm_s, 0), at(run.alarm_s, top)]));
+    + (run.alarm_s === null ? "" : line("alarm", [at(run.alarm_s, 0), at(run.alarm_s, top)]));
 }
 
 function drawMap(run, k) {
@@ -61,7 +63,7 @@ function drawMap(run, k) {
   const { at, frame } = axes(range(run.east, east, RIGHT - LEFT), range(run.north, north, BOTTOM - TOP));
   const way = (xs, ys) => xs.map((x, i) => at(x / 1000, ys[i] / 1000)), truth = way(run.east, run.north), seen = way(east, north);
   return frame + line("ahead", truth) + line("", truth.slice(0, k + 1)) + line("attacked", seen.slice(0, k + 1)) + dot("attacked", seen[k])
-    + text(LEFT, BOTTOM + 26, `errors drawn ${factor} times as large`, "start") + text(RIGHT, BOTTOM + 26, "east [km]", "end");
+    + text(LEFT, BOTTOM + 26, `offset magnified ${factor} times`, "start") + text(LEFT + 4, TOP + 9, "north [km]", "start") + text(RIGHT, BOTTOM + 26, "east [km]", "end");
 }
 
 function drawSky(sky) {
@@ -72,7 +74,7 @@ function drawSky(sky) {
   return [0, 30, 60].map(circle).join("") + text(170, 20, "N", "middle") + sky.map(([label, azimuth, elevation, state]) => {
     const [x, y] = place(azimuth, elevation);
     name.textContent = label;
-    return dot(["clean", "attacked", "excluded"][state], [x, y]) + text(x + 6, y + 3, name.innerHTML, "start");
+    return dot(["authentic", "attacked", "excluded"][state], [x, y]) + text(x + 6, y + 3, name.innerHTML, "start");
   }).join("");
 }
 
@@ -82,11 +84,12 @@ function replay(run) {
     const k = Number(slider.value), alarmed = run.alarm_s !== null && run.time[k] >= run.alarm_s;
     part("#map").innerHTML = drawMap(run, k);
     part("#sky").innerHTML = drawSky(run.sky[Math.floor(k / 10)]);
-    part("#ratio").innerHTML = drawCourse(run, k, run.ratio, 1, run.twin);
-    part("#error").innerHTML = drawCourse(run, k, run.error, run.limit_m);
-    part("output").textContent = `${run.time[k]} s: statistic / threshold ${run.ratio[k]}, error ${run.error[k]} m of ${run.limit_m} m, ${alarmed ? `alarm at ${run.alarm_s} s` : "no alarm"}`;
+    part("#ratio").innerHTML = drawCourse(run, k, run.ratio, 1, "threshold", run.twin);
+    part("#error").innerHTML = drawCourse(run, k, run.error, run.limit_m, `alert limit ${run.limit_m} m`);
+    part("output").textContent = `${run.time[k]} s: statistic / threshold ${run.ratio[k]}, error ${metres(run.error[k])} m (limit ${run.limit_m} m), ${alarmed ? `alarm at ${run.alarm_s} s` : "no alarm so far"}`;
   };
-  slider.value = slider.max;
+  const counted = run.error.findIndex((x) => x >= run.undetected_m - 0.01);
+  slider.value = counted < 0 ? slider.max : counted;
   slider.addEventListener("input", show);
   show();
 }
