@@ -102,11 +102,12 @@ class RunningThreshold:
 
     where a is 1 if a clean episode had an alarm.  The mean of a over n of them is then below
     :math:`\alpha + (1 + g - h_0) / (g n)`, whatever the detector does, and however it changes.
-    Every receiver has its own, which starts again with its seed, stays above 0.001, where
-    statistics below that never alarm, and may exceed 1 for a while, when nothing alarms.
+    Every receiver has its own, which starts again with its seed, at 1, where nothing alarms, so
+    that an agent that has learned nothing plays whole episodes.  It stays above 0.001, where
+    statistics below that never alarm, and may exceed 1 for a while.
     """
 
-    FIRST, GAIN = 0.5, 0.1
+    FIRST, GAIN = 1.0, 0.1
 
     def __init__(self, false_alarm: float, receivers: int) -> None:
         self.false_alarm = false_alarm

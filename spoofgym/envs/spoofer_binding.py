@@ -56,12 +56,13 @@ def attach(spoofer: SpooferSpec, env: Any, *, transfer: bool = False) -> Spoofer
     ----------
     spoofer : Spoofer, str or mapping
         What `make_spoofer` takes; an object is copied.
-    env : SpoofEnv, SpoofVectorEnv or SpoofVecEnv
+    env : SpoofEnv, SpoofVectorEnv or SpoofVecEnv, or a duel of both agents
         Wrapped or not.
     transfer : bool
         Whether the spoofer may meet another scenario, receiver, detector or target than the one
         that it was made for.  Names and bounds of what it observes and commands, and the
-        attack's limits, have to be the same in any case.
+        attack's limits, have to be the same in any case.  In a duel the detector is the other
+        agent, whichever that is.
 
     Returns
     -------
@@ -86,11 +87,13 @@ def attach(spoofer: SpooferSpec, env: Any, *, transfer: bool = False) -> Spoofer
     >>> envs.close()
     """
     made = make_spoofer(spoofer)
-    core: SpoofCore = composable(env, unset=False).core
+    duel = getattr(getattr(env, "unwrapped", env), "duel", None)  # of the forms for PettingZoo
+    core: SpoofCore = (composable(env, unset=False) if duel is None else duel).core
     context = spoofer_context(core.setup, core.receivers, core.observer, core.commands)
     card = card_behind(made)
     if card is not None:
-        refuse_changes(env, repr(card.name))
+        if duel is None:
+            refuse_changes(env, repr(card.name))
         found = misfits = card.diff_context(context) + _diff_bases(card, core)
         if not transfer:
             made_for = setup_of_card(card)
@@ -98,7 +101,10 @@ def attach(spoofer: SpooferSpec, env: Any, *, transfer: bool = False) -> Spoofer
                 resolve_thresholds(
                     made_for.detector, made_for
                 )  # which looks its thresholds up by a rate
-            found = misfits + format_card_diff(_settings(made_for), _settings(core.setup))
+            own, here = _settings(made_for), _settings(core.setup)
+            if duel is not None:
+                here["detector"] = own["detector"]
+            found = misfits + format_card_diff(own, here)
         if found:
             hint = f" ({suggest_settings(card, core.setup)[0]})" if misfits else ""
             hint += "" if transfer else " (`transfer=True` allows for other settings alone)"

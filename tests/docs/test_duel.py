@@ -15,7 +15,13 @@ from .pages import play, text_of
 # as users have it
 pytestmark = pytest.mark.usefixtures("default_rate_of_module")
 
-SMALLER = [("TURNS, STEPS, RUNS = 4, 20_000, 200", "TURNS, STEPS, RUNS = 2, 64, 19"), ("512", "64")]
+SMALLER = [
+    ("TURNS, STEPS, RUNS = 4, 20_000, 200", "TURNS, STEPS, RUNS = 2, 64, 19"),
+    ("512", "64"),
+    (r"learn\(150_000", "learn(320"),
+    (r"VecEnv\(32", "VecEnv(2"),
+    ("1024", "64"),
+]
 
 
 @pytest.fixture(scope="module")

@@ -47,6 +47,15 @@ def test_a_dotted_name_on_a_page_exists_and_its_links_lead_somewhere(page):
     assert re.findall(r"^\s*%.*", page.read_text(), re.MULTILINE) == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_no_figure_of_the_first_suite_stands_unmarked(page):
+    """Before a page first names one of T1 to T6 in its text, it says which suite they are of."""
+    hidden = r"^ *```.*?^ *```$|`[^`\n]*`|\]\([^)]*\)"
+    plain = re.sub(hidden, "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+    named = re.search(r"\bT[1-6]\b(?! =).*", plain)  # T3 = 0.6 is a threshold
+    assert named is None or "first suite" in plain[: named.end()].lower()
+
+
 @pytest.mark.parametrize("line", OURS)
 def test_a_command_on_a_page_is_understood(line, monkeypatch):
     """Its options exist and take these values; its scenario and detectors do, too."""

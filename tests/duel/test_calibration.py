@@ -118,13 +118,27 @@ def test_a_running_threshold_follows_the_clean_episodes_that_are_played():
             env.reset(seed=seed)
             while env.agents:
                 *_, infos = env.step({"spoofer_0": np.zeros(2), "detector_0": ALARM})
-            assert infos["detector_0"]["alarm"]
             yield infos["detector_0"]["threshold"]
 
-    # a seed begins anew
+    # what says 1 alarms in the second; a seed begins anew
     found = list(played(0.0, [7, None, None, None, 7]))
-    np.testing.assert_allclose(found, [0.5, 0.595, 0.69, 0.785, 0.5])
-    assert list(played(1.0, [7, None])) == [0.5, 0.5]  # nothing is learned from attacked ones
+    np.testing.assert_allclose(found, [1.0, 0.995, 1.09, 1.085, 1.0])
+    assert list(played(1.0, [7, None])) == [1.0, 1.0]  # nothing is learned from attacked ones
+
+
+def test_an_agent_of_random_actions_plays_whole_episodes():
+    env, lengths = parallel(), []
+    for seed in [0, 1, 2, *[None] * 12]:
+        env.reset(seed=seed)
+        if seed == 0:
+            for name in env.agents:
+                env.action_space(name).seed(seed)
+        lengths.append(0)
+        while env.agents:
+            env.step({name: env.action_space(name).sample() for name in env.agents})
+            lengths[-1] += 1
+    assert lengths[:3] == [env.duel.epochs] * 3
+    assert np.mean(lengths) > 0.5 * env.duel.epochs
 
 
 def test_calibrations_are_stored_by_the_frozen_detector(tmp_path):

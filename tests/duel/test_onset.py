@@ -112,6 +112,7 @@ def test_the_running_threshold_follows_whole_clean_episodes_alone():
         duel = vector(**{**changes, "attack_probability": probability}, autoreset_mode="disabled")
         threshold = duel.core.duel.threshold
         duel.reset(seed=1, options={"domain": {"age_s": 40.0}})
+        threshold.values[:] = 0.5  # at first nothing exceeds it
         *_, over, _, _ = duel.step(np.ones(duel.action_space.shape))
         assert over.all()
         assert np.allclose(threshold.values, 0.5 + 0.1 * 0.75 * moves)

@@ -31,7 +31,8 @@ FEW = {
     **dict.fromkeys(["BenchS1-v2", "Offsets-v0", "SpooferView-v0"], 10),
     **dict.fromkeys(["BenchD1-v2", "BenchD4-v1", "DetectorView-v0", "duel_v0-parallel"], 16),
 }
-"""Steps of what takes long, past several episodes; all that are stored are played nightly."""
+"""Steps of what takes long, past several episodes of a spoofer; all that are stored are played
+nightly."""
 Record = dict[str, np.ndarray]
 
 
