@@ -49,7 +49,7 @@ SMALL = 1e-6
 BLOCK = 40
 """Epochs that are averaged by one product of matrices."""
 SHIFTS = tuple(f"shift_{what}_{axis}" for what in SHIFTED for axis in ("north", "east"))
-WINDOWS_S = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
+WINDOWS_S = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 80.0)
 """Lengths of the sums; 0 for the last epoch alone."""
 
 
@@ -300,10 +300,11 @@ class WindowNetwork(nn.Module):
         """One epoch: (B, o) and the past; returns (B, 1) statistic in [-1, 1], as that of
         `DetectorNetwork`, and the next past."""
         shifts = observation[:, self.shifts]
-        new = torch.cat([shifts, torch.ones_like(shifts[:, :1])], dim=-1)[..., None]
-        window = torch.cat([past.unflatten(-1, (len(SHIFTS) + 1, -1)), new], dim=-1)
-        odds = self.judge(observation, functional.linear(window, self.boxes))
-        return functional.softsign(odds)[:, None], window[..., 1:].flatten(start_dim=1)
+        new = torch.cat([shifts, 0.0 * shifts[:, :1] + 1.0], dim=-1)[..., None]
+        before = past.unflatten(-1, (len(SHIFTS) + 1, -1))
+        odds = self.judge(observation, functional.linear(before, self.boxes[:, :-1]) + new)
+        after = torch.cat([before[..., 1:], new], dim=-1).flatten(start_dim=1)
+        return functional.softsign(odds)[:, None], after
 
 
 NETWORKS = {"recurrent": DetectorNetwork, "window": WindowNetwork}

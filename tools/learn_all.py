@@ -99,11 +99,12 @@ def list_steps(out: Path) -> dict[str, Step]:
         "threshold": "spoofgym calibrate --task T3 --detector OUT/guard/guard.onnx --runs 2000 "
         "--hold-out 400 --transfer zhong2025 --transfer trolley-tactical",
         "window-data": "spoofgym dataset OUT/window-data --task S1 --detector never "
-        "--term filter-shift " + " ".join(f"--family {name}" for name in AGED),
+        "--train 512 --validation 192 --test 128 --term filter-shift "
+        + " ".join(f"--family {name}" for name in AGED),
         "window-guard": "train.detector --data OUT/window-data --out OUT/window-guard "
-        "--network window --past-s 320 --passes 40 --patience 12",
+        "--network window --past-s 320 --passes 20 --keep-last --projections 16",
         "window-threshold": "spoofgym calibrate --task S1 "
-        "--detector OUT/window-guard/window-guard.onnx --runs 2000",
+        "--detector OUT/window-guard/window-guard.onnx --runs 1000",
         "window-scores": "tools.against_reference OUT/window-guard/window-guard.onnx "
         "--out OUT/window-scores",
         "suite": "train.suite_ppo --out OUT/suite",

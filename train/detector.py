@@ -56,6 +56,7 @@ class Arguments:
     out: Path  # Folder of the training; its last part is the name of the detector.
     passes: int = 10  # Largest number of passes through the data.
     patience: int = 4  # Passes without a better validation after which it stops.
+    keep_last: bool = False  # Keep the last pass: of few clean runs a validation is noise.
     batch_size: int = 64  # Episodes of a minibatch.
     learning_rate: float = 5e-3  # At first; it falls as a cosine, to 0 at the last pass.
     weight_decay: float = 1e-4  # Of AdamW.
@@ -66,8 +67,9 @@ class Arguments:
         8  # Vectors onto which innovations are projected, or combinations of windows.
     )
     past_s: float | None = None
-    """Longest time before the onset at which a minibatch begins; the default begins at one moment
-    since switch-on for all its episodes, which with drawn ages are long."""
+    """Longest time before the onset at which a minibatch begins, and that of validation runs; the
+    default begins at one moment since switch-on for all its episodes, which with drawn ages are
+    long."""
     least_live_s: float = 10.0
     """Every minibatch begins at a drawn moment, at least so long before the first onset: where a
     world draws no ages all attacks start at one epoch, and a network that remembers could count."""
@@ -180,7 +182,7 @@ class Trainer:
         return found if np.isfinite(raw).all() else found._replace(loss=math.inf)
 
     def keep(self, loss: float) -> None:
-        if loss < self.best:
+        if loss < self.best or (self.args.keep_last and math.isfinite(loss)):
             self.best, self.best_pass = loss, self.done
             self.best_weights = {key: x.clone() for key, x in self.network.state_dict().items()}
 
@@ -221,6 +223,9 @@ def train(given: Arguments, console: Console) -> Path:
     data = load_dataset(given.data)
     config = {**given.identity, "name": given.out.name, "data": data.digest}
     validation, episodes = data.episodes("validation"), data.episodes("train")
+    if given.past_s is not None:  # which is what is learned from, too, and a part of hours
+        longest = math.ceil(given.past_s / data.config["interval_s"])
+        validation = cut_episodes(validation, longest, data.config)
     test = data.episodes("test")  # or that it is damaged; it is used in the end
     clean = int(validation.clean.sum())
     for part, runs in (("validation", clean), ("test", int(test.clean.sum()))):

@@ -20,7 +20,7 @@ from ..core.registry import build, build_spec
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from ..receiver.epoch import Epoch
 from ..receiver.kalman import normalized_innovation_squared
-from ..receiver.states import CLOCK_BIAS, POSITION, STATES, VELOCITY
+from ._own_filter_kernels import whiten_shifts
 from .base import Detector, DetectorContext, FloatArray, find_name, judge_epoch
 from .build import make_detector
 from .calibrated import Calibrated
@@ -396,37 +396,12 @@ class FilterShift(Classic):
             out=out[:, :1],
             casting="unsafe",
         )
-        enough = epoch.visible.sum(axis=1) >= self._fewest
-        model = filtered.design, filtered.innovation_cov, filtered.innovation
-        seen = (cast(FloatArray, each)[enough] for each in model)
-        out[:, 1:] = 0.0
-        out[enough, 1:] = whiten_shift(*seen, epoch.predicted_position[enough])
-
-
-def whiten_shift(
-    design: FloatArray, S: FloatArray, innovation: FloatArray, position_e: FloatArray
-) -> FloatArray:
-    """(B, 4) white shift of velocity, then of position, north and east, as `FilterShift` says."""
-    latitude, longitude, _ = ecef_to_geodetic(position_e)
-    C_en = dcm_e_from_n(latitude, longitude)
-    velocity, place = (design[:, :, k : k + 3] @ C_en for k in (VELOCITY, POSITION))
-    free = design[:, :, CLOCK_BIAS:STATES], velocity[:, :, 2:], place[:, :, 2:]
-    J = np.concatenate([*free, velocity[:, :, :2], place[:, :, :2]], axis=2)
-    right = np.concatenate([J, innovation[:, :, None]], axis=2)
-    F = J.transpose(0, 2, 1) @ np.linalg.solve(S, right)  # and b as its last column
-    found = []
-    for count in (4, 2):  # what is free, then the velocity, is taken out of the rest
-        rest = np.linalg.solve(F[:, :count, :count], F[:, :count, count:])
-        F = F[:, count:, count:] - F[:, count:, :count] @ rest
-        found.append(whiten_pair(F[:, :2, :2], F[:, :2, -1]))
-    return np.concatenate(found, axis=1)
-
-
-def whiten_pair(covariance: FloatArray, pair: FloatArray) -> FloatArray:
-    """Vectors (B, 2) divided by the symmetric root of their covariance (B, 2, 2)."""
-    values, axes = np.linalg.eigh(covariance)
-    along = (axes.transpose(0, 2, 1) @ pair[:, :, None]) / np.sqrt(values)[:, :, None]
-    return np.asarray((axes @ along)[:, :, 0])
+        model = filtered.design, filtered.innovation, filtered.innovation_cov
+        design, z, S = (cast(FloatArray, each) for each in model)
+        shifts = np.empty((len(z), len(SHIFTED) * 2))
+        place = epoch.predicted_position, self._fewest
+        whiten_shifts(design, z, S, epoch.visible, *place, shifts)
+        out[:, 1:] = shifts
 
 
 SHIFTED = "velocity", "position"

@@ -7,6 +7,7 @@ import pytest
 
 from spoofgym.bench.runs.world import World
 from spoofgym.detectors import make_detector
+from spoofgym.detectors._own_filter_kernels import whiten_shifts
 from spoofgym.detectors.learned import DetectorAgent
 from spoofgym.detectors.observation import (
     ALL_TERMS,
@@ -14,7 +15,6 @@ from spoofgym.detectors.observation import (
     DetectorObserver,
     ExclusionLeft,
     make_detector_terms,
-    whiten_shift,
     written_terms,
 )
 from spoofgym.earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
@@ -145,9 +145,14 @@ def test_a_shift_is_white_and_blind_to_height_and_clock_by_algebra():
 
     def respond(columns):
         """(2, 4, k) shifts of innovations that are the columns (2, m, k)."""
-        each = [whiten_shift(design, S, columns[:, :, k], place) for k in range(columns.shape[2])]
-        return np.stack(each, axis=2)
+        found = np.empty((2, 4, columns.shape[2]))
+        for k in range(columns.shape[2]):
+            z = np.ascontiguousarray(columns[:, :, k])
+            whiten_shifts(design, z, S, seen, place, 4, each)
+            found[:, :, k] = each
+        return found
 
+    each, seen = np.empty((2, 4)), np.ones((2, n), dtype=np.bool_)
     W = respond(np.broadcast_to(np.eye(2 * n), S.shape))
     np.testing.assert_allclose(W @ S @ W.transpose(0, 2, 1), [np.eye(4)] * 2, atol=1e-9)
     velocity, position = design[:, :, 3:6] @ C_en, design[:, :, 6:9] @ C_en
@@ -161,6 +166,9 @@ def test_a_shift_is_white_and_blind_to_height_and_clock_by_algebra():
     for found in (moved[:, :2], shifted[:, 2:]):
         np.testing.assert_allclose(found, found.transpose(0, 2, 1), atol=1e-9)
         assert (np.linalg.eigvalsh(found) > 0.0).all()
+    seen[0, 3:] = False
+    whiten_shifts(design, np.ones((2, 2 * n)), S, seen, place, 4, each)
+    assert (each == 0.0).all(axis=1).tolist() == [True, False]
 
 
 def test_a_filter_of_its_own_sees_the_filter_only_warm_up():
