@@ -5,9 +5,9 @@
     python -m tools.against_reference guard.onnx --page         # and docs/hours.md
 
 Three parts, paired run by run, each kept once it has ended: P(HMI) of every family of attacks, the
-share of ramps that is found at onsets from 10 s to an hour after switch-on, and clean flights of
-two hours, whose windows as long as an attack are counted by the time since switch-on.  Alarms are
-rare; so windows above the level that a tenth of them exceeds are counted, too.
+share of accelerating ramps found at onsets from 10 s to an hour after switch-on, and clean flights
+of two hours, whose windows as long as an attack are counted by the time since switch-on.  Alarms
+are rare; so windows above the level that a tenth of them exceeds are counted, too.
 """
 
 from __future__ import annotations
@@ -40,6 +40,9 @@ from .pages import DOCS, fit_tables, marks, put_between
 
 PAGE, DATA_FILE = DOCS / "hours.md", DOCS / "hours.json"
 AGES_S = (10.0, 60.0, 300.0, 1800.0, 3600.0)
+REACH = (0.1, 0.2, 0.4, 0.8, 1.6)
+"""How far the accelerating ramps displace by the end of the attack, in alert limits; a constant
+ramp begins with a step of the velocity, which both detectors find at every age."""
 BOUNDS_S = (0.0, 600.0, 1800.0, 3600.0, 7200.0)
 """Times since switch-on between which clean windows are counted."""
 PARTS = "ages", "clean", "families"
@@ -72,10 +75,13 @@ def play_families(auditor: Auditor, specs: Sequence[Any]) -> dict[str, Any]:
 
 def play_ages(worlds: Worlds, detectors: Sequence[ScoredDetector], runs: int) -> dict[str, Any]:
     """Share of the ramps found at every age by both, and changes from the youngest."""
-    ours, theirs = (worlds.probe_ages(each.judge, runs, len(AGES_S), AGES_S) for each in detectors)
+    ours, theirs = (
+        worlds.probe_ages(each.judge, runs, len(AGES_S), AGES_S, REACH, accelerating=True)
+        for each in detectors
+    )
     return {
         "runs": runs,
-        "rates_mps": ours.rate_mps.tolist(),
+        "reach": list(REACH),
         "ages": [
             {
                 "age_s": age_s,
@@ -192,6 +198,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--task", default="D1")
     parser.add_argument("--out", type=Path, default=Path("results/against"))
     parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=PARTS)
+    parser.add_argument("--families", nargs="+", help="by default all of the task")
     parser.add_argument("--runs", type=int, default=64, help="of every family and age")
     parser.add_argument("--selection-runs", type=int, default=24)
     parser.add_argument("--clean-runs", type=int, default=64)
@@ -204,7 +211,7 @@ def main(arguments: list[str]) -> None:
         "quick",
         runs=given.runs,
         selection_runs=given.selection_runs,
-        families=[each.key for each in get_detector_task(given.task).families],
+        families=given.families or [each.key for each in get_detector_task(given.task).families],
         entropy=given.entropy,
         threads=1,
         folder=given.out / "families",
@@ -213,8 +220,8 @@ def main(arguments: list[str]) -> None:
     detectors = auditor.worlds.build_detectors(specs)
     alone = {"task": given.task, "entropy": given.entropy, "of": _identify(detectors)}
     sizes = {
-        "families": [given.runs, given.selection_runs],
-        "ages": given.runs,
+        "families": [given.runs, given.selection_runs, *(given.families or ())],
+        "ages": [given.runs, *REACH],
         "clean": given.clean_runs,
     }
     makers = {
@@ -223,7 +230,7 @@ def main(arguments: list[str]) -> None:
         "clean": lambda *_: play_clean(auditor.worlds, detectors, given.clean_runs),
     }
     parts = {name: Part({**alone, "size": sizes[name]}, makers[name]) for name in given.parts}
-    found = Records("against", {}, parts).play(given.out, progress)
+    found = Records("against", {}, parts).play(given.out / "parts", progress)
     print(json.dumps(found, indent=1) if given.json else tabulate(found))
     if given.page:
         write_json(DATA_FILE, found)

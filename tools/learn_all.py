@@ -106,7 +106,8 @@ def list_steps(out: Path) -> dict[str, Step]:
         "window-threshold": "spoofgym calibrate --task S1 "
         "--detector OUT/window-guard/window-guard.onnx --runs 1000",
         "window-scores": "tools.against_reference OUT/window-guard/window-guard.onnx "
-        "--out OUT/window-scores",
+        "--out OUT/window-scores --runs 24 --selection-runs 12 --clean-runs 40 --entropy 771 "
+        "--page",
         "suite": "train.suite_ppo --out OUT/suite",
         "feedback": "tools.feedback_gain --out OUT/feedback",
         "feedback-T2": "tools.feedback_gain --task T2 --out OUT/feedback",

@@ -224,15 +224,26 @@ class Worlds:
         return WarmStart(setup, rngs, threads=self.threads, given=given)
 
     def probe_ages(
-        self, judge: Detector, twins: int, ages: int, ages_s: Sequence[float] = AGES_S
+        self,
+        judge: Detector,
+        twins: int,
+        ages: int,
+        ages_s: Sequence[float] = AGES_S,
+        parts: Sequence[float] = RAMPS,
+        accelerating: bool = False,
     ) -> AgeProbe:
-        """Play the same ramps in so many runs at each of the first ages, and the youngest twice."""
+        """Play the same ramps in so many runs at each of the first ages, and the youngest twice.
+        `parts`: how far they displace, in alert limits; `accelerating`: from a rate of 0 on, which
+        grows to twice the mean."""
         start = self.start_at_ages(judge, twins, ages, ages_s=ages_s)
         limit = self.task.alert_limit_m
         clean, setup = play(start, "none"), start.setup
         most, attack_s = spoofer_context(setup).rate_limit_mps, setup.steps * setup.interval_s
-        rates = [min(part * limit / attack_s, most) for part in RAMPS]
-        specs = [{"name": "ramp", "rate_mps": rate} for rate in rates]
+        rates = [min(part * limit / attack_s, most) for part in parts]
+        specs: list[dict[str, Any]] = [{"name": "ramp", "rate_mps": rate} for rate in rates]
+        if accelerating:
+            growth = [2.0 * rate / attack_s for rate in rates]
+            specs = [{"name": "accelerating-ramp", "acceleration_mps2": x} for x in growth]
         ramps = [play(start, spec) for spec in specs]
         early = start.warmup_alarm
         each = [record_runs(setup, {}, early, runs, clean, limit).records for runs in ramps]
