@@ -26,6 +26,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -307,7 +308,7 @@ class WindowNetwork(nn.Module):
         return functional.softsign(odds)[:, None], after
 
 
-NETWORKS = {"recurrent": DetectorNetwork, "window": WindowNetwork}
+NETWORKS: dict[str, Any] = {"recurrent": DetectorNetwork, "window": WindowNetwork}
 
 
 def total(values: torch.Tensor) -> torch.Tensor:

@@ -25,8 +25,9 @@ import numpy as np
 from agents.folder import Part, Records, error_lines, write_json
 from spoofgym.bench.experiments.audit import Auditor
 from spoofgym.bench.experiments.audit_worlds import ScoredDetector, Worlds
-from spoofgym.bench.report.table import Table, format_age, percent
+from spoofgym.bench.report.table import Table, percent
 from spoofgym.bench.runs.panel import generators, in_any_world
+from spoofgym.bench.scores.audit import format_age
 from spoofgym.bench.scores.scores import select_clusters
 from spoofgym.bench.scores.statistics import bounded_mean
 from spoofgym.cli.app import progress
