@@ -1,8 +1,9 @@
-r"""A network that judges epochs: alike for all satellites, and causal in time.
+r"""Networks that judge epochs, causal in time.
 
-What is observed of a satellite goes through one encoder, the same for all, and is pooled over those
-in view (mean and maximum, `zaheer2017`): which slot a satellite has makes no difference.  Where
-lines of sight :math:`u_i` are observed, innovations are projected on them, too,
+`DetectorNetwork` is alike for all satellites.  What is observed of one goes through one encoder,
+the same for all, and is pooled over those in view (mean and maximum, `zaheer2017`): which slot a
+satellite has makes no difference.  Where lines of sight :math:`u_i` are observed, innovations are
+projected on them, too,
 
 .. math:: p = \frac1n \sum_i u_i (w_i - \bar w), \qquad w_i = W x_i
 
@@ -12,6 +13,12 @@ them all along its own direction, whichever that is.  A gated recurrent unit tak
 codes, the lengths, and what is observed of the receiver as a whole, such as the statistics of
 classic detectors.  What it hands on to the next epoch is its hidden state and the averages, both 0
 at switch-on.
+
+`WindowNetwork` takes the white shifts of the term `filter-shift`, two vectors an epoch.  Their sums
+over the last epochs, in windows of fixed lengths, over the root of the number of epochs, have
+variance 1 at any age.  Learned combinations of the windows are matched filters, whose lengths do
+not depend on the heading of an attack; with what is observed of the receiver as a whole they go
+through two layers.  It remembers the epochs of its longest window, and nothing else.
 """
 
 from __future__ import annotations
@@ -19,12 +26,16 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import nn
 from torch.nn import functional
+
+from spoofgym.detectors.observation import SHIFTED
+from spoofgym.export import CHANNELS
 
 SLOT = re.compile(r"(.+)_slot(\d+)")
 SIGHTS = ("sight_north", "sight_east", "sight_down")
@@ -38,6 +49,9 @@ LEAST_SCALE = 0.05
 SMALL = 1e-6
 BLOCK = 40
 """Epochs that are averaged by one product of matrices."""
+SHIFTS = tuple(f"shift_{what}_{axis}" for what in SHIFTED for axis in ("north", "east"))
+WINDOWS_S = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 80.0)
+"""Lengths of the sums; 0 for the last epoch alone."""
 
 
 class DetectorNetwork(nn.Module):
@@ -93,6 +107,11 @@ class DetectorNetwork(nn.Module):
         self.recurrent = nn.GRU(width, width, batch_first=True)
         self.head = nn.Linear(2 * width, 1)
         nn.init.constant_(self.head.bias, -2.0)
+
+    @property
+    def channels(self) -> int:
+        """Slots of the receiver."""
+        return len(self.shown)
 
     @property
     def state(self) -> dict[str, int]:
@@ -198,6 +217,98 @@ class DetectorNetwork(nn.Module):
         reset, update = (torch.sigmoid(given[k] + kept[k]) for k in (0, 1))
         new = torch.tanh(given[2] + reset * kept[2])
         return (1.0 - update) * new + update * hidden
+
+
+class WindowNetwork(nn.Module):
+    """Statistic of every epoch, from a past that is as long as its longest window.
+
+    - `names`: (o,) name of every element of an observation, `SHIFTS` among them; the others are of
+      the receiver as a whole;
+    - `interval_s`: time between epochs;
+    - `width`: units of each of the two layers;
+    - `projections`: combinations of the windows.
+    """
+
+    channels = CHANNELS  # of the receiver; nothing that it observes is of a slot
+
+    def __init__(
+        self, names: Sequence[str], interval_s: float, width: int = 32, projections: int = 8
+    ) -> None:
+        super().__init__()
+        if missing := [name for name in SHIFTS if name not in names]:
+            raise ValueError(
+                f"observations must have {', '.join(missing)} (the term 'filter-shift')"
+            )
+        if slots := [name for name in names if SLOT.fullmatch(name)]:
+            raise ValueError(f"a window network observes no slots, got {', '.join(slots[:4])}")
+        whole = [place for place, name in enumerate(names) if name not in SHIFTS]
+        self.register_buffer("shifts", torch.tensor([names.index(name) for name in SHIFTS]))
+        self.register_buffer("whole", torch.tensor(whole, dtype=torch.long))
+        self.register_buffer("whole_mean", torch.zeros(len(whole)))
+        self.register_buffer("whole_scale", torch.ones(len(whole)))
+        self.windows = [max(round(length / interval_s), 1) for length in WINDOWS_S]
+        longest = max(self.windows)
+        boxes = torch.zeros(len(self.windows), longest)
+        for row, window in zip(boxes, self.windows, strict=True):
+            row[longest - window :] = 1.0
+        self.register_buffer("boxes", boxes)
+        vectors = 2 * len(self.windows)
+        self.project = nn.Linear(vectors, projections, bias=False)
+        seen = len(whole) + 2 * (vectors + projections)
+        self.layers = nn.Sequential(
+            nn.Linear(seen, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
+        )
+        self.head = nn.Linear(width + seen, 1)
+        nn.init.constant_(self.head.bias, -2.0)
+
+    @property
+    def state(self) -> dict[str, int]:
+        """Size of each state by name, for `spoofgym.export.detector`."""
+        return {"past": (self.boxes.shape[1] - 1) * (len(SHIFTS) + 1)}
+
+    def normalize_by(self, observation: NDArray[np.float32]) -> None:
+        """Take centre and scale of the rest from clean observations, (N, o)."""
+        seen = torch.as_tensor(observation)[:, self.whole]
+        self.whole_mean.copy_(seen.mean(dim=0))
+        self.whole_scale.copy_(seen.std(dim=0).clamp(min=LEAST_SCALE))
+
+    def judge(self, observation: torch.Tensor, sums: torch.Tensor) -> torch.Tensor:
+        """Logarithm of the odds of an attack: (...), of (..., o) and the sums (..., 5, W) of shifts
+        and of epochs."""
+        count = sums[..., -1:, :].clamp(min=1.0)
+        # both kinds in all windows, of each axis
+        vectors = (sums[..., :-1, :] / torch.sqrt(count)).unflatten(-2, (2, 2))
+        vectors = vectors.transpose(-3, -2).flatten(start_dim=-2)
+        north, east = torch.cat([vectors, self.project(vectors)], dim=-1).unbind(dim=-2)
+        square = north * north + east * east
+        whole = (observation[..., self.whole] - self.whole_mean) / self.whole_scale
+        whole = whole.clamp(-FARTHEST, FARTHEST)
+        seen = torch.cat([whole, torch.sqrt(square + SMALL), 0.1 * square], dim=-1)
+        seen = seen.clamp(-FARTHEST, FARTHEST)
+        return self.head(torch.cat([self.layers(seen), seen], dim=-1)).squeeze(-1)
+
+    def log_odds(self, observation: torch.Tensor) -> torch.Tensor:
+        """Of whole episodes, (B, L, o), from switch-on on; returns (B, L)."""
+        shifts = observation[..., self.shifts].double()
+        so_far = torch.cat([shifts, torch.ones_like(shifts[..., :1])], dim=-1).cumsum(dim=1)
+        sums = []
+        for window in self.windows:
+            late = functional.pad(so_far, (0, 0, window, 0))[:, : so_far.shape[1]]
+            sums.append((so_far - late).float())
+        return self.judge(observation, torch.stack(sums, dim=-1))
+
+    def forward(self, observation: torch.Tensor, past: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """One epoch: (B, o) and the past; returns (B, 1) statistic in [-1, 1], as that of
+        `DetectorNetwork`, and the next past."""
+        shifts = observation[:, self.shifts]
+        new = torch.cat([shifts, 0.0 * shifts[:, :1] + 1.0], dim=-1)[..., None]
+        before = past.unflatten(-1, (len(SHIFTS) + 1, -1))
+        odds = self.judge(observation, functional.linear(before, self.boxes[:, :-1]) + new)
+        after = torch.cat([before[..., 1:], new], dim=-1).flatten(start_dim=1)
+        return functional.softsign(odds)[:, None], after
+
+
+NETWORKS: dict[str, Any] = {"recurrent": DetectorNetwork, "window": WindowNetwork}
 
 
 def total(values: torch.Tensor) -> torch.Tensor:

@@ -49,6 +49,9 @@ FRESH = ("T1", "T2", "T3")
 GUARDS = {"guard": 3, "guard-0": 0, "guard-1": 1, "guard-2": 2, "guard-4": 4}
 """Seeds of the detector that was best of five on validation runs, and of the others."""
 
+AGED = "ramp", "accelerating-ramp", "profile", "dash", "open-loop"
+"""Families of attacks of drawn ages that the window guard learns from; none sees a statistic."""
+
 
 class Step(NamedTuple):
     """Arguments of Python, and names of the steps that have to end before."""
@@ -95,6 +98,16 @@ def list_steps(out: Path) -> dict[str, Step]:
         },
         "threshold": "spoofgym calibrate --task T3 --detector OUT/guard/guard.onnx --runs 2000 "
         "--hold-out 400 --transfer zhong2025 --transfer trolley-tactical",
+        "window-data": "spoofgym dataset OUT/window-data --task S1 --detector never "
+        "--train 512 --validation 192 --test 128 --term filter-shift "
+        + " ".join(f"--family {name}" for name in AGED),
+        "window-guard": "train.detector --data OUT/window-data --out OUT/window-guard "
+        "--network window --past-s 320 --passes 20 --keep-last --projections 16",
+        "window-threshold": "spoofgym calibrate --task S1 "
+        "--detector OUT/window-guard/window-guard.onnx --runs 1000",
+        "window-scores": "tools.against_reference OUT/window-guard/window-guard.onnx "
+        "--out OUT/window-scores --runs 24 --selection-runs 12 --clean-runs 40 --entropy 771 "
+        "--page",
         "suite": "train.suite_ppo --out OUT/suite",
         "feedback": "tools.feedback_gain --out OUT/feedback",
         "feedback-T2": "tools.feedback_gain --task T2 --out OUT/feedback",
@@ -105,6 +118,9 @@ def list_steps(out: Path) -> dict[str, Step]:
     after: dict[str, tuple[str, ...]] = {
         **dict.fromkeys(GUARDS, ("data",)),
         "threshold": ("guard",),
+        "window-guard": ("window-data",),
+        "window-threshold": ("window-guard",),
+        "window-scores": ("window-threshold",),
         "feedback-T2": ("feedback",),  # both write to one folder
         "game-page": ("game",),
         "page": folders,

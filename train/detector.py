@@ -3,10 +3,10 @@
     spoofgym dataset runs/data --task T3
     python -m train.detector --data runs/data --out runs/guard
 
-1. A recurrent network (`agents.detector_network`) learns by two losses (`agents.detector_loss`):
-   the logistic loss of every epoch, the best statistic of an epoch at any rate of false alarms
-   (Neyman and Pearson); and what is scored, made smooth, since alarms come from the largest of
-   hundreds of epochs, and rare ones decide.
+1. A network (`agents.detector_network`), recurrent or of a bounded past, learns by two losses
+   (`agents.detector_loss`): the logistic loss of every epoch, the best statistic of an epoch at any
+   rate of false alarms (Neyman and Pearson); and what is scored, made smooth, since alarms come
+   from the largest of hundreds of epochs, and rare ones decide.
 2. After every pass it plays the validation runs by the rule of the benchmark.  The best network is
    kept, and training stops when none has been better for `--patience` passes.
 3. The best one is written as `NAME.onnx`, recurrent, with its card, and plays the test runs, once.
@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 import re
 import time
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from rich.console import Console
 
 from agents.checkpoint import open_checkpoint, write_checkpoint
 from agents.detector_loss import compute_undetected, logistic
-from agents.detector_network import DetectorNetwork, compute_statistic, count_parameters
+from agents.detector_network import NETWORKS, compute_statistic, count_parameters
 from agents.detector_score import Scored, count_live, score_non_learned, score_statistic, window_s
 from agents.folder import error_lines, learning_versions
 from agents.record import read_record, write_record
@@ -42,7 +43,7 @@ from spoofgym.bench.experiments.dataset import Dataset, Episodes, load_dataset
 from spoofgym.core.declared import check_number
 from spoofgym.core.progress import show_progress
 from spoofgym.core.reading import name_file
-from spoofgym.core.registry import whole_number
+from spoofgym.core.registry import check_choice, whole_number
 from spoofgym.detectors.calibration_file import check_runs
 from spoofgym.policies.card import DECIDED_ON
 
@@ -55,12 +56,20 @@ class Arguments:
     out: Path  # Folder of the training; its last part is the name of the detector.
     passes: int = 10  # Largest number of passes through the data.
     patience: int = 4  # Passes without a better validation after which it stops.
+    keep_last: bool = False  # Keep the last pass: of few clean runs a validation is noise.
     batch_size: int = 64  # Episodes of a minibatch.
     learning_rate: float = 5e-3  # At first; it falls as a cosine, to 0 at the last pass.
     weight_decay: float = 1e-4  # Of AdamW.
     clip_norm: float = 1.0  # Largest norm of a gradient.
-    width: int = 32  # Units of the recurrent unit; the encoder of a satellite has half of them.
-    projections: int = 8  # Vectors onto which innovations are projected.
+    network: str = "recurrent"  # Or "window", which has a bounded past; it takes `filter-shift`.
+    width: int = 32  # Units of the recurrent unit, or of each layer of the other network.
+    projections: int = (
+        8  # Vectors onto which innovations are projected, or combinations of windows.
+    )
+    past_s: float | None = None
+    """Longest time before the onset at which a minibatch begins, and that of validation runs; the
+    default begins at one moment since switch-on for all its episodes, which with drawn ages are
+    long."""
     least_live_s: float = 10.0
     """Every minibatch begins at a drawn moment, at least so long before the first onset: where a
     world draws no ages all attacks start at one epoch, and a network that remembers could count."""
@@ -74,6 +83,9 @@ class Arguments:
             whole_number(f"`{name}`", getattr(self, name), 1)
         for name in ("learning_rate", "clip_norm", "false_alarms_per_hour", "least_live_s"):
             check_number(name, getattr(self, name), above=0.0)
+        check_choice("network", self.network, NETWORKS)
+        if self.past_s is not None:
+            check_number("past_s", self.past_s, least=self.least_live_s)
         for name in ("emphasis", "weight_decay", "seed"):
             check_number(name, getattr(self, name), least=0.0)
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", self.out.name):
@@ -93,7 +105,7 @@ class Trainer:
         self.args, self.data, self.config = given, data, data.config
         torch.set_num_threads(given.threads)
         torch.manual_seed(given.seed)
-        self.network = DetectorNetwork(
+        self.network = NETWORKS[given.network](
             data.names, self.config["interval_s"], given.width, given.projections
         )
         self.optimizer = torch.optim.AdamW(
@@ -114,14 +126,20 @@ class Trainer:
         rng = np.random.default_rng([self.args.seed, self.done])
         order = rng.permutation(len(episodes.clean))
         size, losses = self.args.batch_size, []
-        least = math.ceil(self.args.least_live_s / self.config["interval_s"])
+        interval, past_s = self.config["interval_s"], self.args.past_s
+        least = math.ceil(self.args.least_live_s / interval)
         latest = max(int(count_live(episodes, self.config).min()) - least, 0)
+        longest = 0 if past_s is None else max(math.ceil(past_s / interval), least)
         starts = range(0, len(order), size)
         with show_progress(len(starts), start=f"pass {self.done + 1}") as bar:
             for start in starts:
                 rows = np.sort(order[start : start + size])
-                begin = int(rng.integers(latest + 1))
-                loss = self._loss(Episodes(*(part[rows] for part in episodes)), begin)
+                some, begin = Episodes(*(part[rows] for part in episodes)), 0
+                if longest:
+                    some = cut_episodes(some, int(rng.integers(least, longest + 1)), self.config)
+                else:
+                    begin = int(rng.integers(latest + 1))
+                loss = self._loss(some, begin)
                 self.optimizer.zero_grad()
                 loss.backward()
                 torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.args.clip_norm)
@@ -164,7 +182,7 @@ class Trainer:
         return found if np.isfinite(raw).all() else found._replace(loss=math.inf)
 
     def keep(self, loss: float) -> None:
-        if loss < self.best:
+        if loss < self.best or (self.args.keep_last and math.isfinite(loss)):
             self.best, self.best_pass = loss, self.done
             self.best_weights = {key: x.clone() for key, x in self.network.state_dict().items()}
 
@@ -182,6 +200,21 @@ class Trainer:
                 setattr(self, name, state[name])
 
 
+def cut_episodes(episodes: Episodes, before: int, config: Mapping[str, Any]) -> Episodes:
+    """Episodes from so many epochs before the onset on, or from switch-on where that is later."""
+    begin = np.maximum(count_live(episodes, config) - before, 0)
+    length = before + config["epochs"]["steps"] + config["epochs"]["hold"]
+    at = np.minimum(begin[:, None] + np.arange(length), episodes.attack.shape[1] - 1)
+    rows = np.arange(len(begin))[:, None]
+    cut = episodes._replace(
+        observation=episodes.observation[rows, at],
+        attack=episodes.attack[rows, at],
+        displacement_m=episodes.displacement_m[rows, at],
+        epochs=episodes.epochs - begin,
+    )
+    return cut._replace(attack=cut.attack & cut.valid)
+
+
 PARTS, COUNTS = ("network", "optimizer", "schedule"), ("done", "best", "best_pass")
 
 
@@ -190,6 +223,9 @@ def train(given: Arguments, console: Console) -> Path:
     data = load_dataset(given.data)
     config = {**given.identity, "name": given.out.name, "data": data.digest}
     validation, episodes = data.episodes("validation"), data.episodes("train")
+    if given.past_s is not None:  # which is what is learned from, too, and a part of hours
+        longest = math.ceil(given.past_s / data.config["interval_s"])
+        validation = cut_episodes(validation, longest, data.config)
     test = data.episodes("test")  # or that it is damaged; it is used in the end
     clean = int(validation.clean.sum())
     for part, runs in (("validation", clean), ("test", int(test.clean.sum()))):
@@ -263,7 +299,7 @@ def _export(trainer: Trainer, console: Console) -> Path:
         terms=config["terms"],
         state=trainer.network.state,
         interval_s=config["interval_s"],
-        channels=len(trainer.network.shown),
+        channels=trainer.network.channels,
         training=training,
     )
     console.print(f"best: pass {trainer.best_pass}; the test runs, each by its own threshold:")

@@ -35,7 +35,10 @@ def dataset(
     knowledge: str | None = Option(
         None, help="What observations show with --format minari. Default: the environment's."
     ),
-    task: str | None = Option(None, help="World of a task, S1 to S3 or T1 to T6; its detector."),
+    task: str | None = Option(
+        None,
+        help="World of a task, S1 to S3 or T1 to T6; its detector. Attacks decide at every epoch.",
+    ),
     detector: str | None = Option(
         None,
         help="Passive detector whose statistic attacks by feedback see. Default: the task's; "
@@ -129,6 +132,7 @@ def _plan(
     task = chosen["task"]
     played, guard, limit = make_world(options, task), None, None
     if task is not None:
+        played = played.copy_with(decision_interval_s=None, between="hold")
         guard, limit = get_task(task).detector, get_task(task).alert_limit_m
     if detector is not None:
         (guard,) = opt.parse_specs([detector])

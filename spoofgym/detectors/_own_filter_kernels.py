@@ -7,14 +7,21 @@ an error with this covariance, which so goes on, and is corrected, as the covari
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..core.compile import njit
 from ..core.simd import LANES, load_pair, splat, store
 from ..receiver._augmented_kernels import append_entry, append_signals
 from ..receiver.augmented import FIRST
-from ..receiver.states import POSITION, STATES
-from ._solution_separation_kernels import append_rows, horizontal_axes
+from ..receiver.states import CLOCK_BIAS, CLOCK_DRIFT, POSITION, STATES, VELOCITY
+from ._solution_separation_kernels import (
+    SINGULAR,
+    append_rows,
+    horizontal_axes,
+    substitute_row,
+)
 from .base import BoolArray, FloatArray, IntArray, cholesky_of_rows
 
 BLOCK = 4  # rows that are corrected together
@@ -294,3 +301,70 @@ def compute_feedback(
                 store(AV, i * wide + k, total * factor[i, i])
             for k in range(states):
                 feedback[b, k, rows[i]] = A[i, k] * innovation[b, rows[i]]
+
+
+@njit
+def write_root(F: FloatArray, k: int, score: FloatArray, out: FloatArray) -> None:
+    """Divide elements k and k + 1 of a score by the symmetric root of their covariance, a block of
+    `F`; `out` (2,) written, 0 where that is singular."""
+    a, c, d = F[k, k], F[k, k + 1], F[k + 1, k + 1]
+    det = a * d - c * c
+    if det > SINGULAR * (a + d) ** 2:
+        root = math.sqrt(det)
+        scale = 1.0 / (root * math.sqrt(a + d + 2.0 * root))
+        out[0] = scale * ((d + root) * score[k] - c * score[k + 1])
+        out[1] = scale * ((a + root) * score[k + 1] - c * score[k])
+
+
+@njit
+def whiten_shifts(
+    design: FloatArray,
+    innovation: FloatArray,
+    innovation_cov: FloatArray,
+    visible: BoolArray,
+    position_e: FloatArray,
+    fewest: int,
+    out: FloatArray,
+) -> None:
+    """Write white shifts (B, 4) of velocity, then of position, north and east each: of their score
+    :math:`J^T S^{-1} z` what is left when clock and height are free, and then, of the position,
+    the velocity. 0 with fewer satellites than `fewest`, or where S is not positive definite."""
+    m = innovation.shape[1]
+    rows, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
+    A, y = np.empty((m, 8)), np.empty(m)
+    F, score = np.empty((8, 8)), np.empty(8)
+    for b in range(len(innovation)):
+        out[b] = 0.0
+        if visible[b].sum() < fewest:
+            continue
+        count = cholesky_of_rows(innovation_cov[b], visible[b], 0, m, rows, factor)
+        north, east = horizontal_axes(position_e[b])
+        up = np.cross(east, north)
+        for i in range(count):
+            H = design[b, rows[i]]
+            y[i] = innovation[b, rows[i]]
+            A[i, 0], A[i, 1] = H[CLOCK_BIAS], H[CLOCK_DRIFT]
+            v, p = H[VELOCITY : VELOCITY + 3], H[POSITION : POSITION + 3]
+            A[i, 2], A[i, 3] = v @ up, p @ up
+            A[i, 4], A[i, 5] = v @ north, v @ east
+            A[i, 6], A[i, 7] = p @ north, p @ east
+            substitute_row(factor, i, A, y)
+        if count < 0:
+            continue
+        for i in range(8):
+            score[i] = 0.0
+            for l in range(count):
+                score[i] += A[l, i] * y[l]
+            for k in range(8):
+                F[i, k] = 0.0
+                for l in range(count):
+                    F[i, k] += A[l, i] * A[l, k]
+        for j in range(6):
+            if j == 4:
+                write_root(F, 4, score, out[b, :2])
+            for i in range(j + 1, 8):
+                part = F[i, j] / F[j, j] if F[j, j] > 0.0 else 0.0
+                score[i] -= part * score[j]
+                for k in range(j, 8):
+                    F[i, k] -= part * F[j, k]
+        write_root(F, 6, score, out[b, 2:])

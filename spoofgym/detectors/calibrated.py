@@ -167,11 +167,18 @@ class Calibrated(Detector):
     def is_armed(self, epoch: Epoch) -> BoolArray | None:
         return self.detector.is_armed(epoch)
 
+    def watch(self, epoch: Epoch) -> None:
+        self._judge.watch(self._rescale_epoch(epoch))
+
+    def _rescale_epoch(self, epoch: Epoch) -> Epoch:
+        if not self.rescaled:
+            return epoch
+        innovation = np.empty(epoch.innovation.shape)
+        rescale_innovations(epoch.innovation, epoch.visible, self._factors, innovation)
+        return epoch._replace(innovation=innovation)
+
     def judge(self, epoch: Epoch) -> Verdict:
-        if self.rescaled:
-            innovation = np.empty(epoch.innovation.shape)
-            rescale_innovations(epoch.innovation, epoch.visible, self._factors, innovation)
-            epoch = epoch._replace(innovation=innovation)
+        epoch = self._rescale_epoch(epoch)
         self._judge.judged_rows = self.judged_rows
         try:
             verdict = self._judge.judge(epoch)

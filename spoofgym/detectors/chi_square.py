@@ -106,7 +106,7 @@ class SnapshotChi2(InnovationTest):
         self._lower = chi2_lower_thresholds(each_side, each * np.arange(n + 1.0))
 
     def judge(self, epoch: Epoch) -> Verdict:
-        epoch = self._filtered(epoch)
+        epoch = self.filter_epoch(epoch)
         innovation, judged = self._without_bias(epoch)
         belief = cast(FloatArray, epoch.innovation_cov)
         if self._bias_window > 0:
@@ -231,7 +231,7 @@ class WindowedChi2(InnovationTest):
         )
 
     def judge(self, epoch: Epoch) -> Verdict:
-        epoch = self._filtered(epoch)
+        epoch = self.filter_epoch(epoch)
         belief = cast(FloatArray, epoch.innovation_cov)
         nis = normalized_innovation_squared(epoch.innovation, belief, *self._rows)
         if epoch.visible.shape[1]:

@@ -277,7 +277,7 @@ class InnovationTest(FilterTest):
     def _whiten_rows(self, epoch: Epoch) -> tuple[FloatArray, BoolArray]:
         """Whitened innovations of the rows (B, last - first) and the channels to judge. The test
         needs ``"innovation_cov"``."""
-        epoch = self._filtered(epoch)
+        epoch = self.filter_epoch(epoch)
         innovation, judged = self._without_bias(epoch)
         first, last = self._rows
         white = np.empty((len(judged), last - first))

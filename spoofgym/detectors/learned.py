@@ -82,6 +82,8 @@ class DetectorAgent(Detector):
         # these are the object's choice, not the class's
         self.scope = self.statistic  # type: ignore[misc]
         self.needs = frozenset().union(*(term.needs for term in self.observed_terms))  # type: ignore[misc]
+        self.from_start = any(term.from_start for term in self.observed_terms)
+        self.needs_model = any(term.needs_model for term in self.observed_terms)
         for term in self.observed_terms:
             if isinstance(term, ExclusionLeft) and term.exclusion_s != self.exclusion_s:
                 raise ValueError(
@@ -110,6 +112,9 @@ class DetectorAgent(Detector):
 
     def look(self, epoch: Epoch) -> None:
         self.observer.look(epoch, self.memory)
+
+    def watch(self, epoch: Epoch) -> None:
+        self.observer.watch(epoch)
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Observe an epoch of the warm-up, without a decision: no alarm, no weights."""
@@ -269,6 +274,7 @@ class LearnedDetector(Detector):
         # these differ from file to file, so that they are the object's, not the class's
         self.label = self.card.name  # type: ignore[misc]
         self.scope, self.needs = self.judge_by.scope, self.judge_by.needs  # type: ignore[misc]
+        self.from_start, self.needs_model = self.judge_by.from_start, self.judge_by.needs_model
         self.has_nominal = self.card.threshold is not None
 
     def identity(self) -> dict[str, Any]:
@@ -290,6 +296,9 @@ class LearnedDetector(Detector):
         self.judge_by.bind(context)
         self.memory = self.judge_by.memory
         self.silent_epochs = self.judge_by.silent_epochs
+
+    def watch(self, epoch: Epoch) -> None:
+        self.judge_by.watch(epoch)
 
     def judge(self, epoch: Epoch) -> Verdict:
         return self.judge_by.judge(epoch)

@@ -20,10 +20,12 @@ from ..core.registry import build, build_spec
 from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from ..receiver.epoch import Epoch
 from ..receiver.kalman import normalized_innovation_squared
+from ._own_filter_kernels import whiten_shifts
 from .base import Detector, DetectorContext, FloatArray, find_name, judge_epoch
 from .build import make_detector
 from .calibrated import Calibrated
 from .innovation import average_smoothing
+from .solution_separation import SolutionSeparation
 
 Written = NDArray[np.float32]
 LOCAL_AXES, BODY_AXES = ("north", "east", "down"), ("forward", "right", "below")
@@ -36,9 +38,14 @@ class DetectorTerm(ABC):
     ----------
     needs : frozenset of str
         Optional fields of `Epoch` that it reads, as of a `Detector`.
+    from_start, needs_model : bool
+        Whether it is shown the filter-only warm-up, too, and takes a victim with a model of its
+        errors, as of a `Detector`.
     """
 
     needs: ClassVar[frozenset[str]] = frozenset()
+    from_start: ClassVar[bool] = False
+    needs_model: ClassVar[bool] = False
 
     @abstractmethod
     def names(self, channels: int) -> tuple[str, ...]:
@@ -54,6 +61,9 @@ class DetectorTerm(ABC):
 
     def declare(self, memory: Memory, channels: int) -> None:  # noqa: B027  (few need it)
         """Declare what is remembered; nothing by default."""
+
+    def watch(self, epoch: Epoch) -> None:  # noqa: B027  (few need it)
+        """See an epoch of the filter-only warm-up, if `from_start`."""
 
     @abstractmethod
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
@@ -301,7 +311,8 @@ class Classic(_Term):
         if isinstance(self.detector, str):
             object.__setattr__(self, "detector", {"name": self.detector})
         object.__setattr__(self, "_judge", made)
-        object.__setattr__(self, "needs", made.needs)
+        for trait in ("needs", "from_start", "needs_model"):
+            object.__setattr__(self, trait, getattr(made, trait))
         if self.label is None:
             object.__setattr__(self, "label", name.replace("-", "_"))
 
@@ -318,6 +329,9 @@ class Classic(_Term):
     def memory(self) -> Memory:
         return self._judge.memory
 
+    def watch(self, epoch: Epoch) -> None:
+        self._judge.watch(epoch)
+
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         verdict = judge_epoch(self._judge, epoch)
         if verdict.weights is not None:
@@ -329,12 +343,76 @@ class Classic(_Term):
         np.log(np.maximum(verdict.statistic, least) / verdict.threshold, out=out, casting="unsafe")
 
 
+@settings_record(frozen=True)
+class FilterShift(Classic):
+    r"""The same of `solution-separation`, and what the innovations of the filter that it tests say
+    of one horizontal shift of position and velocity.
+
+    With J the columns of the design for north and east, height and clock of both kinds, the score
+    is :math:`b = J^T S^{-1} z`, of covariance :math:`F = J^T S^{-1} J`.  What is left of it when
+    height and clock are free, and then of the position when the velocity is, too, is divided by its
+    root of covariance: two vectors whose elements have variance 1 and are independent, of one epoch
+    and of several, where the innovations are white and of covariance S.  That is so of a filter
+    that models its world, as ``filter="augmented"`` has it, whatever its age.  0 with fewer
+    satellites than an update takes.
+    """
+
+    limits: ClassVar[tuple[float, float]] = (-30.0, 30.0)
+    detector: str | Mapping[str, Any] = setting(
+        default_factory=lambda: {
+            "name": "solution-separation",
+            "filter": "augmented",
+            "spacing": "geometric",
+        },
+        help="`solution-separation`, with its settings.",
+    )
+
+    _fewest: ClassVar[int]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self._judge, SolutionSeparation):
+            raise ValueError(
+                "`detector` of the term filter-shift must be solution-separation, got "
+                f"{self.detector!r}"
+            )
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        shifts = (f"shift_{what}_{axis}" for what in SHIFTED for axis in LOCAL_AXES[:2])
+        return (*super().names(channels), *shifts)
+
+    def bound(self, context: DetectorContext) -> Self:
+        own = super().bound(context)
+        object.__setattr__(own, "_fewest", context.min_satellites)
+        return own
+
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        judge = cast(SolutionSeparation, self._judge)
+        filtered = judge.filter_epoch(epoch)
+        verdict = judge.judge_filtered(filtered)
+        least = np.exp(Classic.limits[0]) * verdict.threshold
+        np.log(
+            np.maximum(verdict.statistic, least) / verdict.threshold,
+            out=out[:, :1],
+            casting="unsafe",
+        )
+        model = filtered.design, filtered.innovation, filtered.innovation_cov
+        design, z, S = (cast(FloatArray, each) for each in model)
+        shifts = np.empty((len(z), len(SHIFTED) * 2))
+        place = epoch.predicted_position, self._fewest
+        whiten_shifts(design, z, S, epoch.visible, *place, shifts)
+        out[:, 1:] = shifts
+
+
+SHIFTED = "velocity", "position"
+"""What the shift of `FilterShift` is of, in the order of its elements."""
 DETECTOR_TERMS: dict[str, type[DetectorTerm]] = {
     "average-innovation": AverageInnovation,
     "chi-square": ChiSquare,
     "classic": Classic,
     "elapsed": Elapsed,
     "exclusion-left": ExclusionLeft,
+    "filter-shift": FilterShift,
     "in-view": InView,
     "innovation": Innovation,
     "innovation-sd": InnovationSd,
@@ -434,6 +512,12 @@ class DetectorObserver:
         memory.declare("observation", np.zeros((memory.receivers, len(self.names)), np.float32))
         for term, _ in self._parts:
             term.declare(memory, self._channels)
+
+    def watch(self, epoch: Epoch) -> None:
+        """Show an epoch of the filter-only warm-up to the terms that are to see it."""
+        for term, _ in self._parts:
+            if term.from_start:
+                term.watch(epoch)
 
     def look(self, epoch: Epoch, memory: Memory) -> None:
         """Take in one epoch; the observation is ``memory["observation"]`` from then on."""

@@ -148,6 +148,6 @@ class FilterTest(Detector):
         if self._own is not None:
             self._states, self._inertial = self._own.states, self._own.inertial
 
-    def _filtered(self, epoch: Epoch) -> Epoch:
+    def filter_epoch(self, epoch: Epoch) -> Epoch:
         """Epoch of the filter to test; once per epoch."""
         return epoch if self._own is None else self._own.observe(epoch)

@@ -191,7 +191,11 @@ class SolutionSeparation(FilterTest):
         self.memory.declare_all(**{name: np.zeros((b, *shape)) for name, shape in shapes.items()})
 
     def judge(self, epoch: Epoch) -> Verdict:
-        memory, epoch = self.memory, self._filtered(epoch)
+        return self.judge_filtered(self.filter_epoch(epoch))
+
+    def judge_filtered(self, epoch: Epoch) -> Verdict:
+        """Judge an epoch of the filter to test."""
+        memory = self.memory
         rows = np.arange(len(epoch.time)) if self.judged_rows is None else self.judged_rows
         self._advance(epoch, rows)
         statistic = np.zeros((len(epoch.time), 1))

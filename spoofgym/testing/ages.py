@@ -125,6 +125,8 @@ def check_stationary(detector: Detector | Mapping[str, Any] | str) -> Ages:
     ------
     AssertionError
         Says what changes with age.
+    ValueError
+        Where it needs a model of its victim's errors, which these epochs have not.
 
     Examples
     --------
@@ -133,7 +135,13 @@ def check_stationary(detector: Detector | Mapping[str, Any] | str) -> Ages:
     (0.2, 0.1)
     """
     advice = "train and tune with attacks of all ages (`Domain.age_s`)"
-    return require_alike(play_ages(bare_detector(detector)), "reset", advice)
+    unbound = bare_detector(detector)
+    if unbound.needs_model:
+        raise ValueError(
+            f"{unbound.label or type(unbound).__name__} needs a model of its victim's errors: "
+            "`check_ages` flies a victim that has one"
+        )
+    return require_alike(play_ages(unbound), "reset", advice)
 
 
 def _minutes(k: int) -> str:

@@ -54,7 +54,8 @@ def check_detector(detector: DetectorSpec, *, stationary: bool = False) -> None:
     It is bound, fed with epochs of a run of the default scenario and with made-up ones (satellites
     that come and go, or none at all; unequal intervals; no innovation, and a huge one); where it
     `measures` positions, with made-up ones of two and of three coordinates instead, and where it
-    measures any, with all of them.  It has to show that
+    measures any, with all of them.  One that needs a model of the victim's errors has epochs of the
+    run alone.  It has to show that
 
     - it cites a paper, states its scope and what it measures, and needs what an epoch can have;
     - it reads no optional field of an epoch that its `needs` does not name;
@@ -93,10 +94,11 @@ def check_detector(detector: DetectorSpec, *, stationary: bool = False) -> None:
         warnings.simplefilter("error", RuntimeWarning)
         for trial in check_verdicts(unbound):
             run_trial(trial)
-        if unbound.card is None:
+        if unbound.card is None and not unbound.needs_model:
             _check_windows(unbound)
     if stationary:
-        check_stationary(unbound)
+        if not unbound.needs_model:
+            check_stationary(unbound)
         if can_fly(unbound):
             check_ages(unbound)
 
@@ -105,9 +107,10 @@ def check_verdicts(unbound: Detector) -> list[_DetectorTrial]:
     """Check what no run can do without: what a detector declares, and its verdicts on all epochs.
     Returns the trials of the rest."""
     _check_declarations(unbound)
-    trials = [
-        _DetectorTrial(unbound, each) for each in list_scripts(unbound.measures, unbound.card)
-    ]
+    scripts = list_scripts(unbound.measures, unbound.card)
+    if unbound.needs_model:
+        scripts = [each for each in scripts if each.context.model is not None]
+    trials = [_DetectorTrial(unbound, each) for each in scripts]
     for trial in trials:
         _check_bound_again(trial)
         _check_verdicts(trial)

@@ -59,6 +59,7 @@ def engine_script() -> Script:
         setup.interval_s,
         setup.combinations.largest_variance,
         setup.world.satellite_ids,
+        model=setup.combinations.filter_model,
     )
     return Script("a run of the default scenario", context, tuple(epochs))
 

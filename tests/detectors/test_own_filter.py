@@ -89,7 +89,7 @@ def test_its_kernels_and_those_of_its_bank_are_the_equations(world):
     x, s, V = np.zeros((2, 17)), np.zeros((len(firsts), 2, d)), np.zeros((len(firsts), 2, d, d))
     for k in range(25):
         epoch = simulator.advance()
-        found, Phi, H = bank._filtered(epoch), epoch.transition, epoch.design
+        found, Phi, H = bank.filter_epoch(epoch), epoch.transition, epoch.design
         x = move_on(Phi, x)
         z = epoch.innovation - move_on(H, x)
         inertial = Phi, epoch.imu_delta, psd, epoch.interval, H, own.memory["mapping"]

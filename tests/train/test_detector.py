@@ -170,6 +170,35 @@ def test_minibatches_begin_at_drawn_moments_before_the_onset(trainer, monkeypatc
     assert torch.equal(late, loss(shorter, 0))
 
 
+def test_drawn_ages_are_cut_at_a_drawn_time_before_each_onset(tmp_path):
+    """And so small a set is enough for a window network to be trained and written."""
+    drawn = {"turn_on": "drawn", "age_s": (15.0, 60.0)}
+    shift = {"name": "filter-shift", "detector": {"name": "solution-separation"}}
+    world = World.of(scenario="zhong2025", timeline=TIMES, domain=drawn).setup
+    runs = {"train": 8, "validation": 8, "test": 8}
+    plan = Plan(world, length_m=10.0, terms=(shift,), runs=runs)
+    run_experiment(plan, Store(tmp_path / "aged"), threads=1)
+    data = load_dataset(tmp_path / "aged")
+    episodes, config = data.episodes("train"), data.config
+    window = config["epochs"]["steps"] + config["epochs"]["hold"]
+    live = episodes.epochs - window
+    before = int(np.sort(live)[len(live) // 2]) + 1
+    assert live.min() < before < live.max()
+    cut = module.cut_episodes(episodes, before, config)
+    assert cut.attack.shape[1] == before + window
+    for row, (old, new) in enumerate(zip(episodes.epochs, cut.epochs, strict=True)):
+        assert new == min(old, before + window)
+        for name in ("observation", "attack", "displacement_m"):
+            mine, whole = getattr(cut, name)[row], getattr(episodes, name)[row]
+            np.testing.assert_array_equal(mine[:new], whole[old - new : old])
+        assert not cut.attack[row, new:].any()
+    settings = {"network": "window", "past_s": 20.0, "passes": 2}
+    made = train(arguments(tmp_path / "aged", tmp_path / "guard", **settings), QUIET)
+    assert make_detector({"name": str(made), "threshold": 0.9}).detector.card.state[0].size > 0
+    with pytest.raises(ValueError, match="`past_s` must be a number of at least 2"):
+        arguments(tmp_path / "aged", tmp_path / "guard", past_s=1.0)
+
+
 def test_what_follows_an_episode_counts_for_nothing(tmp_path):
     world = World.of(
         scenario="zhong2025", timeline=TIMES, domain={"turn_on": "drawn", "age_s": (15.0, 60.0)}

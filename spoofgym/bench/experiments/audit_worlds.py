@@ -199,15 +199,23 @@ class Worlds:
             release_free_memory()  # of the warm-up
         return self._panels[key]
 
-    def start_at_ages(self, judge: Detector, runs: int, ages: int, youngest: int = 0) -> WarmStart:
+    def start_at_ages(
+        self,
+        judge: Detector,
+        runs: int,
+        ages: int,
+        youngest: int = 0,
+        ages_s: Sequence[float] = AGES_S,
+    ) -> WarmStart:
         """The same runs at each of the first ages in front of a detector, those of the first age
         first; `youngest`: so many of the first age alone. All at their onset where a task draws no
         ages."""
         settings, given = self.task.world_kwargs, None
-        changed, times = {}, AGES_S[:ages]
+        changed, times = {}, ages_s[:ages]
         if "age_s" in settings["domain"]:
             changed["domain"] = {**settings["domain"], "age_s": [times[0], times[-1]]}
-            phases = {"warmup_s": times[0], "live_s": times[0] - LIVE_AFTER_S}
+            late = min(LIVE_AFTER_S, 0.5 * times[0])
+            phases = {"warmup_s": times[0], "live_s": times[0] - late}
             changed["timeline"] = {**settings["timeline"], **phases}
             given = {"age_s": np.repeat(times, runs)[: youngest or None]}
         setup = self.setup(**changed).copy_with(detector=in_any_world(judge))
@@ -215,13 +223,27 @@ class Worlds:
         rngs = generators(setup, self.entropy, "evaluation", numbers)
         return WarmStart(setup, rngs, threads=self.threads, given=given)
 
-    def probe_ages(self, judge: Detector, twins: int, ages: int) -> AgeProbe:
-        """Play the same ramps in so many runs at each of the first ages, and the youngest twice."""
-        start, limit = self.start_at_ages(judge, twins, ages), self.task.alert_limit_m
+    def probe_ages(
+        self,
+        judge: Detector,
+        twins: int,
+        ages: int,
+        ages_s: Sequence[float] = AGES_S,
+        parts: Sequence[float] = RAMPS,
+        accelerating: bool = False,
+    ) -> AgeProbe:
+        """Play the same ramps in so many runs at each of the first ages, and the youngest twice.
+        `parts`: how far they displace, in alert limits; `accelerating`: from a rate of 0 on, which
+        grows to twice the mean."""
+        start = self.start_at_ages(judge, twins, ages, ages_s=ages_s)
+        limit = self.task.alert_limit_m
         clean, setup = play(start, "none"), start.setup
         most, attack_s = spoofer_context(setup).rate_limit_mps, setup.steps * setup.interval_s
-        rates = [min(part * limit / attack_s, most) for part in RAMPS]
-        specs = [{"name": "ramp", "rate_mps": rate} for rate in rates]
+        rates = [min(part * limit / attack_s, most) for part in parts]
+        specs: list[dict[str, Any]] = [{"name": "ramp", "rate_mps": rate} for rate in rates]
+        if accelerating:
+            growth = [2.0 * rate / attack_s for rate in rates]
+            specs = [{"name": "accelerating-ramp", "acceleration_mps2": x} for x in growth]
         ramps = [play(start, spec) for spec in specs]
         early = start.warmup_alarm
         each = [record_runs(setup, {}, early, runs, clean, limit).records for runs in ramps]
@@ -237,7 +259,7 @@ class Worlds:
             return values.reshape(*values.shape[:-1], -1, twins)
 
         counts = ~early & (clean.first_alarm == 0)
-        again = self.start_at_ages(judge, twins, ages, min(AGAIN, twins))
+        again = self.start_at_ages(judge, twins, ages, min(AGAIN, twins), ages_s)
         return AgeProbe(
             age_s=np.round(by_age(start.simulator.ages * setup.interval_s).mean(axis=1), 3),
             rate_mps=np.array(rates),

@@ -86,6 +86,12 @@ class AgeProbe(NamedTuple):
         a, b = (self._estimate_mean(each, both) for each in (one, two))
         return Estimate(paired.value, a.low - b.high, a.high - b.low)
 
+    def compare_to(self, other: AgeProbe, age: int) -> Estimate:
+        """Part of the ramps that is found less that which another detector finds in the same runs,
+        paired by these."""
+        both = self.counts[age] & other.counts[age]
+        return self._estimate_mean(self.share[age] - other.share[age], both, -1.0)
+
     def estimate_missed(self) -> Estimate:
         """Part of the ramps beyond the alert limit with no alarm in time, over all ages."""
         crossed = self.crossed.sum(axis=(0, 1))
