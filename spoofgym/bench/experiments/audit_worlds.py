@@ -205,13 +205,13 @@ class Worlds:
         runs: int,
         ages: int,
         youngest: int = 0,
-        ages_s: Sequence[float] = AGES_S,
+        ages_s: Sequence[float] | None = None,
     ) -> WarmStart:
         """The same runs at each of the first ages in front of a detector, those of the first age
         first; `youngest`: so many of the first age alone. All at their onset where a task draws no
         ages."""
         settings, given = self.task.world_kwargs, None
-        changed, times = {}, ages_s[:ages]
+        changed, times = {}, (ages_s or AGES_S)[:ages]
         if "age_s" in settings["domain"]:
             changed["domain"] = {**settings["domain"], "age_s": [times[0], times[-1]]}
             late = min(LIVE_AFTER_S, 0.5 * times[0])
@@ -228,7 +228,7 @@ class Worlds:
         judge: Detector,
         twins: int,
         ages: int,
-        ages_s: Sequence[float] = AGES_S,
+        ages_s: Sequence[float] | None = None,
         parts: Sequence[float] = RAMPS,
         accelerating: bool = False,
     ) -> AgeProbe:
