@@ -107,9 +107,12 @@ def add_learned(world: dict[str, Any], learned: dict[str, Any]) -> dict[str, Any
 
 
 def _describe_gain(detector: str, learned: dict[str, Any]) -> str:
-    """How far the policy of every seed that was kept gets over its base."""
+    """How far the seeds that were kept get over their base, and how many surely get farther."""
     seeds = [each["ratio"] for each in list_policies(learned) if each["detector"] == detector]
-    return f"{SHOWN[detector]} {' and '.join(interval(each, 2) for each in seeds)}"
+    values = sorted(each["value"] for each in seeds)
+    farther = sum(each["low"] > 1.0 for each in seeds)
+    reached = f"{SHOWN[detector]} {values[0]:.2f} to {values[-1]:.2f}"
+    return f"{reached} (interval above 1: {farther} of {len(seeds)} seeds)"
 
 
 def _count_false_alarms() -> dict[str, Any]:

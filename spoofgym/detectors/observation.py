@@ -364,7 +364,7 @@ class FilterShift(Classic):
             "filter": "augmented",
             "spacing": "geometric",
         },
-        help="`solution-separation`, with its settings.",
+        help="Detector `solution-separation`, with its settings.",
     )
 
     _fewest: ClassVar[int]
