@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
+from agents.detector_score import area
 from agents.folder import Part, Records, error_lines, learning_versions
 from agents.learning import learn, run_training
 from spoofgym.bench.report.table import Table
@@ -140,15 +140,16 @@ def score(
     displacement."""
     clean = play_runs(decide, runs, False, watched, **world)[0].max(axis=1)
     statistics, moved, hold = play_runs(decide, runs, True, watched, **world)
-    found = []
+    found, attacked = [], np.arange(2 * runs) >= runs
     for own, quiet in zip(statistics, clean, strict=True):
         alarm = own > np.sort(quiet)[-compute_rank(0.05, runs)]
         first = np.where(alarm.any(axis=0), alarm.argmax(axis=0) + 1, 0)
-        ranks = rankdata(np.concatenate([quiet, own.max(axis=0)]))
-        area = (ranks[runs:].sum() - 0.5 * runs * (runs + 1)) / runs**2
+        largest = np.concatenate([quiet, own.max(axis=0)])
         undetected = undetected_displacement(moved[: len(moved) - hold], first, hold)
         hits = wilson(int((first > 0).sum()), runs).as_json()
-        found.append({"area": float(area), "found": hits, "mean_m": float(undetected.mean())})
+        found.append(
+            {"area": area(largest, attacked), "found": hits, "mean_m": float(undetected.mean())}
+        )
     return found
 
 

@@ -210,8 +210,8 @@ def read_table(path: Path, columns: Sequence[str] = (), *, header: bool = True) 
         raise name_extra("a table", error, "flights") from error
     if not packed:
         content = read_lines(path)
-        lines = content.decode("latin-1").split("\n", 2)[:2]
-        head, row = ([x.strip() for x in line.split(",")] for line in (*lines, "")[:2])
+        lines = (*content.split(b"\n", 2), b"")[:2]
+        head, row = ([x.strip() for x in line.decode("latin-1").split(",")] for line in lines)
         check_table(content.count(b"\n") + 1, len(head))
         numbers = range(1, len(head) + 1)
         return pandas.read_csv(

@@ -21,7 +21,7 @@ from ..earth.wgs84 import dcm_e_from_n, ecef_to_geodetic
 from ..receiver.epoch import Epoch
 from ..receiver.kalman import normalized_innovation_squared
 from ._own_filter_kernels import whiten_shifts
-from .base import Detector, DetectorContext, FloatArray, find_name, judge_epoch
+from .base import Detector, DetectorContext, FloatArray, Verdict, find_name, judge_epoch
 from .build import make_detector
 from .calibrated import Calibrated
 from .innovation import average_smoothing
@@ -339,7 +339,12 @@ class Classic(_Term):
                 f"`detector` of a classic term must be passive, and {self.detector!r} takes weight "
                 "off measurements; where it has a `weight_scale`, give it None"
             )
-        least = np.exp(self.limits[0]) * verdict.threshold
+        self._write_ratio(verdict, out)
+
+    @staticmethod
+    def _write_ratio(verdict: Verdict, out: Written) -> None:
+        """Write the logarithm of statistic over threshold, as far as the least that is shown."""
+        least = np.exp(Classic.limits[0]) * verdict.threshold
         np.log(np.maximum(verdict.statistic, least) / verdict.threshold, out=out, casting="unsafe")
 
 
@@ -389,13 +394,7 @@ class FilterShift(Classic):
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         judge = cast(SolutionSeparation, self._judge)
         filtered = judge.filter_epoch(epoch)
-        verdict = judge.judge_filtered(filtered)
-        least = np.exp(Classic.limits[0]) * verdict.threshold
-        np.log(
-            np.maximum(verdict.statistic, least) / verdict.threshold,
-            out=out[:, :1],
-            casting="unsafe",
-        )
+        self._write_ratio(judge.judge_filtered(filtered), out[:, :1])
         model = filtered.design, filtered.innovation, filtered.innovation_cov
         design, z, S = (cast(FloatArray, each) for each in model)
         shifts = np.empty((len(z), len(SHIFTED) * 2))
