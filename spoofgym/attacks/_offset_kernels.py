@@ -15,12 +15,45 @@ from ._kernels import add_displacement
 
 SATELLITES, POSITION_CLOCK, ROTATED = range(3)
 TINY = 1e-6  # shorter residuals of a unit vector have no direction
-# What moves (B, a) [m], [m/s]: amplitudes, their rates, what actions requested, without limits.
-Moved = namedtuple("Moved", "displacement rate requested")
 # `basis` by number, `by_offset`, limits of rate and acceleration, coherence, scales (a,) of 1.
 Rules = namedtuple("Rules", "basis by_offset rate_limit acceleration_limit coherent scales")
-# (B, n) captured channels, `orders`, `bases`, and (B, n) residual offsets of the epoch before [m].
-Capturing = namedtuple("Capturing", "taken orders bases residual")
+# (B, a) what actions requested, without limits [m]; (B, n) captured channels, `orders`, `bases`,
+# and (B, n) residual offsets of the epoch before [m].
+Capturing = namedtuple("Capturing", "requested taken orders bases residual")
+# What is computed of a receiver at an epoch, written over by the next: residual axes (R, n), the
+# rows that they come from (4 + R, n), offsets (2, n), numbers by axis (a,) and a shift (6,);
+# `lanes` is a lane array of 8 rows.
+Scratch = namedtuple("Scratch", "axes rows out live wanted change shift lanes")
+
+
+@njit
+def name_rules(settings):
+    """`Rules` of `Offsets.kernel_settings`."""
+    numbers = settings[2], settings[3], settings[4] > 0.0, settings[5:]
+    return Rules(int(settings[0]), settings[1] > 0.0, *numbers)
+
+
+@njit
+def scratch_shape(channels, axes, residuals):
+    """Of the memory that `divide_offsets` takes; the last row is free for `lanes` of one."""
+    return 2 * residuals + 11, max(channels, axes, 8)
+
+
+@njit
+def divide_offsets(work, channels, axes, residuals, lanes):
+    """`Scratch` in memory of `scratch_shape`, and in a lane array."""
+    r, n = 2 * residuals + 4, channels
+    by_axis = work[r + 2, :axes], work[r + 3, :axes], work[r + 4, :axes]
+    above = work[:residuals, :n], work[residuals:r, :n], work[r : r + 2, :n]
+    return Scratch(*above, *by_axis, work[r + 5, :6], lanes)
+
+
+@njit
+def make_scratch(capturing):
+    n, axes = capturing.taken.shape[1], capturing.requested.shape[1]
+    residuals = capturing.bases.shape[1]
+    work = np.zeros(scratch_shape(n, axes, residuals))
+    return divide_offsets(work, n, axes, residuals, np.empty((8, LANES)))
 
 
 @njit
@@ -49,7 +82,7 @@ def find_axes(satellites, position, taken, base, axes, work):
     channel by the Gram-Schmidt process, twice for its rounding.
 
     `satellites` (n, 8), `position` (3,) of an epoch, ECEF [m]; `taken` (n,) bool; `base` (R,)
-    channels; `axes` (R, n), written, 0 without one; `work` (4 + R, n) scratch memory.
+    channels; `axes` (R, n), written, 0 without one; `work` (4 + R, n), written over.
     """
     n = taken.shape[0]
     work[:] = 0.0
@@ -75,23 +108,25 @@ def find_axes(satellites, position, taken, base, axes, work):
         length = math.sqrt(length)
         for s in range(n):
             work[row, s] = work[row, s] / length if length > TINY else 0.0
-    axes[:] = work[4:]
+    for row in range(axes.shape[0]):
+        for s in range(n):
+            axes[row, s] = work[4 + row, s]
 
 
 @njit
 def find_live(basis, order, taken, satellites, axes, live):
-    """Which axes change a measurement at an epoch; `live` (a,) bool, written."""
+    """Which axes change a measurement at an epoch; `live` (a,), written."""
     for i in range(live.shape[0]):
+        live[i] = basis != SATELLITES and i < 4
         if basis == SATELLITES:
             live[i] = taken[order[i]] and satellites[order[i], 6] != 0.0
-        elif i < 4:
-            live[i] = True
-        else:
-            live[i] = axes[i - 4].any()
+        elif i >= 4:
+            for s in range(axes.shape[1]):
+                live[i] = live[i] or axes[i - 4, s] != 0.0
 
 
 @njit
-def follow(action, hold, tau, rules, live, displacement, rate, requested):
+def follow(action, hold, tau, rules, displacement, rate, requested, w):
     r"""Move the amplitudes of one receiver to the end of an interval, in place.
 
     A wanted rate w is an action times its scale.  A wanted offset :math:`D^*` gives it by the
@@ -105,16 +140,16 @@ def follow(action, hold, tau, rules, live, displacement, rate, requested):
     with :math:`e = D^*_- - D`.  The whole vector w is shortened to the limit of the rate, then its
     change to that of the acceleration, and :math:`D^+ = D + v^+ \tau`.
     """
-    count = displacement.shape[0]
+    count, wanted, change = displacement.shape[0], w.wanted, w.change
     if hold:
         for i in range(count):
             displacement[i] += tau * rate[i]
             requested[i] += tau * rate[i]
         return
-    wanted, change = np.zeros(count), np.zeros(count)
     for i in range(count):
+        wanted[i] = change[i] = 0.0
         value = rules.scales[i] * min(max(action[i], -1.0), 1.0)
-        if not live[i]:
+        if not w.live[i]:
             rate[i], requested[i] = 0.0, displacement[i]
         elif rules.by_offset:
             wanted[i], change[i] = (value - requested[i]) / tau, requested[i] - displacement[i]
@@ -142,13 +177,12 @@ def follow(action, hold, tau, rules, live, displacement, rate, requested):
 
 
 @njit
-def add_axes(
-    basis, order, taken, axes, axes_e, target_error, truth, k, coherent, moved, rate, out, work
-):
+def add_axes(basis, order, taken, axes_e, target_error, truth, k, coherent, moved, rate, w):
     """Write what amplitudes `moved` (a,) and their rates add at epoch k, but for the rate of the
-    residual axes: `out` (2, n) offsets [m], [m/s]; `axes_e` (K, 3, 6) as in `false_position`;
-    `target_error` (6,)."""
-    shift = target_error.copy()
+    residual axes, to ``w.out``; `axes_e` (K, 3, 6) as in `false_position`; `target_error` (6,)."""
+    shift, out = w.shift, w.out
+    for i in range(6):
+        shift[i] = target_error[i]
     out[:] = 0.0
     if basis != SATELLITES:
         for i in range(3):
@@ -156,7 +190,7 @@ def add_axes(
                 shift[i] += moved[axis] * axes_e[k, axis, i]
                 shift[3 + i] += rate[axis] * axes_e[k, axis, i]
                 shift[3 + i] += moved[axis] * axes_e[k, axis, 3 + i]
-    add_displacement(shift, truth, k, taken, coherent, out[0], out[1], work)
+    add_displacement(shift, truth, k, taken, coherent, out[0], out[1], w.lanes)
     if basis == SATELLITES:
         for i in range(order.shape[0]):
             s = order[i]
@@ -168,74 +202,88 @@ def add_axes(
         if taken[s] and truth.satellites[k, s, 6] != 0.0:
             out[0, s] += moved[3]
             out[1, s] += rate[3] if coherent else 0.0
-            for r in range(axes.shape[0]):
-                out[0, s] += axes[r, s] * moved[4 + r]
+            for r in range(w.axes.shape[0]):
+                out[0, s] += w.axes[r, s] * moved[4 + r]
 
 
 @njit
 def command_offsets(
-    action, hold, rules, moved, capturing, axes_e, target_error, epochs, truth, d_range, d_rate,
-    lo, hi,
-):  # fmt: skip
-    """Command the axes of receivers lo to hi, and write what they add to the coming epoch.
+    commanded, capturing, axes_e, target_error, epochs, truth, _, d_range, d_rate, lo, hi
+):
+    """Command the axes of receivers lo to hi, and write what they add to the coming epoch."""
+    w = make_scratch(capturing)
+    for b in range(lo, hi):
+        given = commanded, capturing, axes_e, target_error, epochs, truth, d_range, d_rate
+        command_axes(*given, b, w)
+
+
+@njit
+def command_axes(commanded, capturing, axes_e, target_error, epochs, truth, d_range, d_rate, b, w):
+    """`command_offsets` of receiver b.
 
     The range rates of the residual axes are the differences of their offsets over the interval;
     where the satellites in view change, so do the axes, and only the amplitudes' rates count.
     """
-    n, count = d_range.shape[1], moved.displacement.shape[1]
-    residuals = capturing.bases.shape[1]
-    axes, work = np.zeros((residuals, n)), np.empty((4 + residuals, n))
-    lanes, live, out = np.empty((8, LANES)), np.zeros(count, dtype=np.bool_), np.empty((2, n))
-    for b in range(lo, hi):
-        k, taken, order = epochs[b] + 1, capturing.taken[b], capturing.orders[b]
-        satellites, tau = truth.satellites[k], truth.epoch_time[k] - truth.epoch_time[k - 1]
-        if residuals > 0:
-            find_axes(satellites, truth.position_e[k], taken, capturing.bases[b], axes, work)
-        find_live(rules.basis, order, taken, satellites, axes, live)
-        displacement, rate = moved.displacement[b], moved.rate[b]
-        follow(action[b], hold, tau, rules, live, displacement, rate, moved.requested[b])
-        known = order, taken, axes, axes_e, target_error[b], truth, k, rules.coherent
-        add_axes(rules.basis, *known, displacement, rate, out, lanes)
-        d_range[b], d_rate[b] = out[0], out[1]
-        if residuals == 0 or not rules.coherent:
-            continue
-        before, same = capturing.residual[b], True
-        for s in range(n):
-            seen = taken[s] and satellites[s, 6] != 0.0
-            same = same and seen == (not math.isnan(before[s]))
-        for s in range(n):
-            seen, offset, part = taken[s] and satellites[s, 6] != 0.0, 0.0, 0.0
-            for r in range(residuals):
-                offset += axes[r, s] * displacement[4 + r]
-                part += axes[r, s] * rate[4 + r]
-            if seen:
-                d_rate[b, s] += (offset - before[s]) / tau if same else part
-            before[s] = offset if seen else math.nan
+    rules, axes, n = name_rules(commanded.settings), w.axes, d_range.shape[1]
+    k, taken, order = epochs[b] + 1, capturing.taken[b], capturing.orders[b]
+    satellites, tau = truth.satellites[k], truth.epoch_time[k] - truth.epoch_time[k - 1]
+    residuals = axes.shape[0]
+    if residuals > 0:
+        find_axes(satellites, truth.position_e[k], taken, capturing.bases[b], axes, w.rows)
+    find_live(rules.basis, order, taken, satellites, axes, w.live)
+    displacement, rate = commanded.displacement[b], commanded.rate[b]
+    moved = displacement, rate, capturing.requested[b]
+    follow(commanded.action[b], commanded.hold, tau, rules, *moved, w)
+    known = order, taken, axes_e, target_error[b], truth, k, rules.coherent
+    add_axes(rules.basis, *known, displacement, rate, w)
+    for s in range(n):
+        d_range[b, s], d_rate[b, s] = w.out[0, s], w.out[1, s]
+    if residuals == 0 or not rules.coherent:
+        return
+    before, same = capturing.residual[b], True
+    for s in range(n):
+        seen = taken[s] and satellites[s, 6] != 0.0
+        same = same and seen == (not math.isnan(before[s]))
+    for s in range(n):
+        seen, offset, part = taken[s] and satellites[s, 6] != 0.0, 0.0, 0.0
+        for r in range(residuals):
+            offset += axes[r, s] * displacement[4 + r]
+            part += axes[r, s] * rate[4 + r]
+        if seen:
+            d_rate[b, s] += (offset - before[s]) / tau if same else part
+        before[s] = offset if seen else math.nan
 
 
 @njit
 def list_offsets(
-    amplitudes, rules, capturing, axes_e, target_error, epochs, truth, offsets, coming
+    amplitudes, settings, capturing, axes_e, target_error, epochs, truth, offsets, coming
 ):
     """Offsets of every slot by some amplitudes, at the epochs that receivers are at, and which axes
-    are live at the next. `amplitudes` (B, a) [m]; `offsets` (B, S) [m] and `coming` (B, a) bool,
-    written."""
-    n, count = capturing.taken.shape[1], amplitudes.shape[1]
-    residuals = capturing.bases.shape[1]
-    axes, work = np.zeros((residuals, n)), np.empty((4 + residuals, n))
-    lanes, still, out = np.empty((8, LANES)), np.zeros(count), np.empty((2, n))
-    last = truth.epoch_time.shape[0] - 1
+    are live at the next. `amplitudes` (B, a) [m]; `settings` of the attack; `offsets` (B, S) [m]
+    and `coming` (B, a) bool, written."""
+    w = make_scratch(capturing)
     for b in range(amplitudes.shape[0]):
-        taken, order, base = capturing.taken[b], capturing.orders[b], capturing.bases[b]
-        for ahead in range(2):
-            k = min(epochs[b] + ahead, last)
-            satellites = truth.satellites[k]
-            if residuals > 0:
-                find_axes(satellites, truth.position_e[k], taken, base, axes, work)
-            if ahead == 1:
-                find_live(rules.basis, order, taken, satellites, axes, coming[b])
-                continue
-            known = order, taken, axes, axes_e, target_error[b], truth, k, False
-            add_axes(rules.basis, *known, amplitudes[b], still, out, lanes)
-            for i in range(order.shape[0]):
-                offsets[b, i] = out[0, order[i]]
+        given = amplitudes, settings, capturing, axes_e, target_error, epochs, truth
+        list_axes(*given, offsets, coming, b, w)
+
+
+@njit
+def list_axes(
+    amplitudes, settings, capturing, axes_e, target_error, epochs, truth, offsets, coming, b, w
+):
+    """`list_offsets` of receiver b."""
+    taken, order, base = capturing.taken[b], capturing.orders[b], capturing.bases[b]
+    rules, last = name_rules(settings), truth.epoch_time.shape[0] - 1
+    for ahead in range(2):
+        k = min(epochs[b] + ahead, last)
+        satellites = truth.satellites[k]
+        if base.shape[0] > 0:
+            find_axes(satellites, truth.position_e[k], taken, base, w.axes, w.rows)
+        if ahead == 1:
+            find_live(rules.basis, order, taken, satellites, w.axes, coming[b])
+            continue
+        w.wanted[:] = 0.0  # held still
+        known = order, taken, axes_e, target_error[b], truth, k, False
+        add_axes(rules.basis, *known, amplitudes[b], w.wanted, w)
+        for i in range(order.shape[0]):
+            offsets[b, i] = w.out[0, order[i]]

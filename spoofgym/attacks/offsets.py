@@ -189,9 +189,15 @@ class Offsets(Attack):
             bases=np.zeros((b, max(axes - FIX, 0) * (self.basis == "rotated")), dtype=np.int64),
             residual=np.full((b, n), np.nan),
         )
-        limits = self.rate_limit_mps, self.acceleration_limit_mps2
-        numbers = *map(float, limits), bool(self.coherent), self.action_scales(world)
-        self._rules = kernels.Rules(BASES[self.basis], self.control == "offset", *numbers)
+        rules = BASES[self.basis], self.control == "offset", self.rate_limit_mps
+        more = self.acceleration_limit_mps2, self.coherent, *self.action_scales(world)
+        self._settings = np.array((*rules, *more), dtype=np.float64)
+
+    @property
+    def kernel_settings(self) -> FloatArray:
+        """(5 + a,) basis, whether offsets are commanded, limits of rate and acceleration,
+        coherence, scales of an action."""
+        return self._settings
 
     @property
     def axes_e(self) -> FloatArray:
@@ -262,15 +268,8 @@ class Offsets(Attack):
         memory["authentic"][lo:hi][np.tile(free, 2)] = 1.0
 
     def _displace(self, commanded: Any, rest: tuple[Any, ...]) -> None:
-        epochs, truth, _, *written = rest
-        kernels.command_offsets(
-            *(commanded.action, commanded.hold, self._rules, self._moved, self._capturing),
-            *(self.axes_e, self.memory["target_error"], epochs, truth, *written),
-        )
-
-    @property
-    def _moved(self) -> kernels.Moved:
-        return kernels.Moved(*(self.memory[name] for name in kernels.Moved._fields))
+        error = self.memory["target_error"]
+        kernels.command_offsets(commanded, self._capturing, self.axes_e, error, *rest)
 
     @property
     def _capturing(self) -> kernels.Capturing:
@@ -279,13 +278,13 @@ class Offsets(Attack):
     def report(self, epochs: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         """Offsets (B, S) of the slots at the epochs (B,) that receivers are at, as they are, and as
         actions requested them [m]; and (B, a) bool, whether an action of each axis counts next."""
-        known = self._rules, self._capturing, self.axes_e, self.memory["target_error"]
-        shape, moved = self.memory["orders"].shape, self._moved
-        played, requested = np.empty((2, *shape))
+        memory = self.memory
+        known = self._settings, self._capturing, self.axes_e, memory["target_error"]
+        played, requested = np.empty((2, *memory["orders"].shape))
         live = np.empty(self.idle.shape, dtype=np.bool_)
         truth = epochs, self.world.at_hand.epoch_truth
-        kernels.list_offsets(moved.displacement, *known, *truth, played, live)
-        kernels.list_offsets(moved.requested, *known, *truth, requested, live)
+        kernels.list_offsets(memory["displacement"], *known, *truth, played, live)
+        kernels.list_offsets(memory["requested"], *known, *truth, requested, live)
         return {"offsets_m": played, "requested_offsets_m": requested, "action_mask": live}
 
 

@@ -102,15 +102,42 @@ def measuring(detector: Detector) -> tuple[Detector, float]:
     return detector, 1.0
 
 
+def play_batch(
+    setup: Setup,
+    detectors: Sequence[Detector],
+    in_loop: bool,
+    rngs: Sequence[np.random.Generator],
+    stopped: threading.Event | None,
+) -> CleanRuns:
+    """Play a run of each generator, side by side, until it is stopped."""
+    monitor = RunMaxima(() if in_loop else detectors)
+    judge = detectors[0] if in_loop else Never()
+    setup = setup.copy_with(detector=judge, monitors=[monitor])
+    simulator: Simulator = setup.simulator(len(rngs), run_serially)
+    maxima = simulator.monitor(RunMaxima)
+    for _ in simulator.warming(rngs, piece=20 * len(rngs)):
+        check_stopped(stopped)
+    before, early = maxima.pop_maxima()
+    world = simulator.onset // setup.epochs_each
+    for _ in range(setup.steps + setup.hold):
+        check_stopped(stopped)
+        simulator.step(attacked=False)
+    judged, alarmed = maxima.pop_maxima()
+    age_s = np.asarray(simulator.ages * setup.interval_s, dtype=np.float64)
+    return CleanRuns(before, judged, early, alarmed, world, age_s)
+
+
 @dataclass
 class Player:
-    """Plays clean runs of one world; `threads` share the chunks, with a simulator each."""
+    """Plays clean runs of one world; `threads` share the chunks, with a simulator each; `batch`
+    plays one."""
 
     setup: Setup
     entropy: int = 0
     seed_name: str = ""
     threads: int | None = None
     chunk: int = CHUNK
+    batch: Callable[..., CleanRuns] = play_batch
     progress: ProgressCallback = field(default_factory=NullProgress)
 
     def __post_init__(self) -> None:
@@ -148,12 +175,13 @@ class Player:
     ) -> Iterator[CleanRuns]:
         """Play chunks of runs, those of like ages side by side, so that few wait for the oldest.
         `tick` is given how many have been played."""
-        monitor = RunMaxima(() if in_loop else detectors)
-        judge = detectors[0] if in_loop else Never()
-        setup = self.setup.copy_with(detector=judge, monitors=[monitor])
-        work = lambda chunk, stop: _play(setup, self.generators(split, chunk), stop)  # noqa: E731
+
+        def work(chunk: Numbers, stop: threading.Event) -> CleanRuns:
+            rngs = self.generators(split, chunk)
+            return self.batch(self.setup, detectors, in_loop, rngs, stop)
+
         numbers = np.concatenate([np.asarray(chunk) for chunk in chunks])
-        order = np.argsort(-draw_ages(setup, self.generators(split, numbers)), kind="stable")
+        order = np.argsort(-draw_ages(self.setup, self.generators(split, numbers)), kind="stable")
         ends, left, whole = np.cumsum([len(chunk) for chunk in chunks]), list(chunks), None
         missing = np.ones(len(numbers), dtype=np.bool_)
         pieces = self._chunks(order)
@@ -200,21 +228,6 @@ class Stopped(Exception):
 def check_stopped(stopped: threading.Event | None) -> None:
     if stopped is not None and stopped.is_set():
         raise Stopped
-
-
-def _play(setup: Setup, rngs: list[np.random.Generator], stopped: threading.Event) -> CleanRuns:
-    simulator: Simulator = setup.simulator(len(rngs), run_serially)
-    maxima = simulator.monitor(RunMaxima)
-    for _ in simulator.warming(rngs, piece=20 * len(rngs)):
-        check_stopped(stopped)
-    before, early = maxima.pop_maxima()
-    world = simulator.onset // setup.epochs_each
-    for _ in range(setup.steps + setup.hold):
-        check_stopped(stopped)
-        simulator.step(attacked=False)
-    judged, alarmed = maxima.pop_maxima()
-    age_s = np.asarray(simulator.ages * setup.interval_s, dtype=np.float64)
-    return CleanRuns(before, judged, early, alarmed, world, age_s)
 
 
 def map_ordered(

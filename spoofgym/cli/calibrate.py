@@ -54,6 +54,9 @@ def calibrate(
     check: bool = Option(False, "--check", help="Replay stored runs; fail where they now differ."),
     overwrite: bool = Option(False, "--overwrite", help="Replace calibrations that exist."),
     task: str | None = Option(None, help="World of a task, S1 to S3 or T1 to T6."),
+    device: str = Option(
+        "cpu", help="Where runs are played: `cpu`, or `cuda`, with the same bits."
+    ),
     as_json: opt.Json = False,
     options: WorldOptions,
     seed: opt.Seed = 0,
@@ -71,7 +74,7 @@ def calibrate(
     judges, named = _judges(detector, played, rescaled)
     others = {text: _other(played, text) for text in transfer or ()}
     request: dict[str, Any] = {"runs": runs, "false_alarms_per_hour": rate, "rescaled": rescaled}
-    settings: dict[str, Any] = {"threads": threads, "progress": progress}
+    settings: dict[str, Any] = {"threads": threads, "progress": progress, "device": device}
     found = calibration.calibrate(
         setup, judges, **request, **settings, entropy=seed, overwrite=overwrite, strict=False
     )

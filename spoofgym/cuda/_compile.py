@@ -1,19 +1,65 @@
 """The library's own functions, compiled again for one thread of a device: no formula is repeated.
 
+A thread has one receiver, so that what `core.simd` has for lanes is replaced by plain numbers.
 Multiplications and additions are not contracted, so that IEEE arithmetic in double precision gives
 the bits of the processor: every compilation by NVVM has that option.
 """
 
 from __future__ import annotations
 
+import math
 import types
 from collections.abc import Callable
 from typing import Any
 
-from numba import cuda
+import numpy as np
+from numba import config, cuda
 
-from ._lanes import REPLACED, SIMULATED
+from ..core import simd
+from ..truth import noise
+from ..truth.noise import write_deviates
 
+SIMULATED = bool(config.ENABLE_CUDASIM)
+"""Whether numba's simulator stands for a device: Python for every thread, one after the other."""
+
+
+def _store(array: Any, row: int, value: Any) -> None:
+    array[row] = value
+
+
+def _set_lane(array: Any, row: int, index: int, value: Any) -> None:
+    array[row] = value
+
+
+def _deviates(k0: Any, k1: Any, epoch: Any, size: int, count: int, out: Any) -> None:
+    """`noise.deviates` by one counter after the other."""
+    n = size // 4
+    for q in range(min(n, count)):
+        write_deviates(np.uint64(q), epoch, k0, k1, q, n, count > 2 * n, out)
+
+
+REPLACED: dict[Any, Any] = {
+    simd.load: lambda array, row: array[row],
+    simd.store: _store,
+    simd.lane: lambda array, row, index: array[row],
+    simd.set_lane: _set_lane,
+    simd.count_lanes: lambda array: 1,
+    simd.splat: lambda value, like: value,
+    simd.select: lambda mask, x, y: x if mask else y,
+    simd.any_lane: lambda mask: mask,
+    simd.rotate_left: lambda x, turn: (x << np.uint64(turn)) | (x >> np.uint64(64 - turn)),
+    simd.to_float: lambda x: np.float64(x),
+    getattr(noise.deviates, "py_func", noise.deviates): _deviates,
+}
+"""Functions of one thread by those of the library that they replace, as plain Python."""
+if not SIMULATED:  # which has no functions of the device; those of NumPy have the same bits
+    REPLACED |= {
+        simd.sqrt: lambda x: math.sqrt(x),
+        simd.floor: lambda x: cuda.libdevice.floor(x),
+        simd.absolute: lambda x: math.fabs(x),
+        simd.view_bits: lambda x: np.uint64(cuda.libdevice.double_as_longlong(x)),
+        simd.from_bits: lambda x: cuda.libdevice.longlong_as_double(np.int64(x)),
+    }
 _compiled: dict[Any, Any] = {}
 
 

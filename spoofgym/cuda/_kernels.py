@@ -11,52 +11,36 @@ import numpy as np
 from numba import cuda
 
 from ..attacks._kernels import Commanded, displace_antenna, per_channel
+from ..attacks._offset_kernels import Capturing, command_axes, divide_offsets, list_axes
 from ..detectors.base import is_sound
 from ..detectors.charts import find_largest_sizes, judge_channels
+from ..detectors.chi_square import window_sum
 from ..detectors.cusum import advance_sums
-from ..envs._kernels import (
-    DISPLACEMENT,
-    HOLD,
-    STEPS,
-    WORST,
-    follow_rate,
-    observe,
-    report_loudest,
-    score,
-    score_late,
-    settle,
-    time_fractions,
-)
-from ..receiver._kernels import (
-    MEASURE,
-    PREDICT,
-    SHOW,
-    Arrays,
-    divide_scratch,
-    predict_group,
-    update_group,
-)
+from ..envs import _kernels as envs
+from ..receiver import _kernels as receiver
 from ..receiver.kalman import square_all
 from ..simulation._kernels import FALSE_POSITION, PER_CHANNEL, displace, local_motion
 from ..simulation.simulator import FARTHEST
 from ..truth.noise import threefry
 from ..truth.run import EpochTruth
 
-NEVER, EWMA, PASSIVE_EWMA, SHEWHART, CUSUM, SNAPSHOT = range(6)
+OFFSETS = 1 + max(FALSE_POSITION, PER_CHANNEL)
+NEVER, EWMA, PASSIVE_EWMA, SHEWHART, CUSUM, SNAPSHOT, WINDOWED = range(7)
 ATTACKED, JUDGED, ALL = 1, 2, 3
 UNSOUND, DIVERGED = 1, 2  # what a thread finds, in `faults`
 
 # What lasts of every receiver:
 # - `x` to `coasting`: of `ReceiverBuffers`, `sensors` to `authentic`: of `SensorBuffers`, of one
-#   receiver each; `displacement`, `rate`, `target_error`: of an attack;
-# - `innovation`, `variance`, `covariance`: views of `out`; `first`, `second`: memory of the
+#   receiver each; `displacement` to `residual`: of an attack;
+# - `innovation`, `variance`, `covariance`: views of `out`; `first` to `judged`: memory of the
 #   detector; `statistic` to `weights`: of its verdict;
-# - `work`, `spans`: scratch memory of `receiver._kernels`; `faults` (B,) int64.
+# - `work`, `spans`, `offset_work`: scratch memory of kernels; `faults` (B,) int64.
 Receivers = namedtuple(
     "Receivers",
     "x assumed out visible coasting sensors constants keys epochs range_offset rate_offset "
-    "authentic in_run signals displacement rate target_error innovation variance covariance first "
-    "second statistic threshold alarm weights work spans faults",
+    "authentic in_run signals displacement rate target_error requested taken orders bases residual "
+    "innovation variance covariance first second judged statistic threshold alarm weights work "
+    "spans offset_work faults",
 )
 # What all receivers share: truth and rules as in `Arrays`, then of attack and detector.
 Shared = namedtuple(
@@ -64,13 +48,16 @@ Shared = namedtuple(
     "run epoch_time epoch_end satellites position_e velocity_e C_en axes_e captured slots "
     "attack_settings rules places mappings settings limits",
 )
-# Episodes, as in `SpoofCore`: `command` (B, a) is `action` where no `matrix` (B, a, k) makes it;
-# `number` (B,) of the episode; `motion` (B, 6) and `time` (B, 2) are observed where they have rows.
+# Episodes, as in `SpoofCore`: `action` and `before` (B, k), the last decisions, of which `now` is
+# made and, by `matrix` (B, a, k), the `command` (B, a); `pace`: epochs of a decision, and whether
+# it is linear between; `sums`: `values` of its earlier epochs; `number` (B,) of the episode;
+# `motion` (B, 6), `time` (B, 2), offsets (B, S) and `coming` (B, a) are observed where they have
+# rows.
 Episodes = namedtuple(
     "Episodes",
-    "action command matrix following onset direction origin warmup_alarm step_count undetected "
-    "largest detected ended no_rows values marks rules per_rate table seen number picked motion "
-    "scales time",
+    "action before now command matrix following pace onset direction origin warmup_alarm "
+    "step_count undetected largest detected ended no_rows values sums marks rules per_rate table "
+    "seen number picked motion scales time offsets_m requested_offsets_m action_mask",
 )
 
 
@@ -79,7 +66,9 @@ def judge(r, t, w, b, detector):
     e, n, s = b + 1, r.visible.shape[1], t.settings
     innovation, variance, visible = r.innovation[b:e], r.variance[b:e], r.visible[b:e]
     statistic, threshold, weights = r.statistic[b:e], r.threshold[b:e], r.weights[b:e]
-    first, last = int(s[4]), int(s[5])
+    first, last, seen = int(s[4]), int(s[5]), 0
+    for j in range(n):
+        seen += 1 if visible[0, j] else 0
     if EWMA <= detector <= PASSIVE_EWMA:
         chart = r.first[b:e], r.second[b:e], statistic, threshold
         judge_channels(innovation, variance, visible, s[0], s[1], s[2], *chart, weights)
@@ -88,16 +77,19 @@ def judge(r, t, w, b, detector):
     elif detector == CUSUM:
         sums = r.first[b:e], r.second[b:e]
         advance_sums(innovation, variance, visible, first, last, s[0], *sums, statistic)
-    elif detector == SNAPSHOT:
+    elif detector >= SNAPSHOT:
         belief = r.covariance[b:e, first:last, first:last]
-        square_all(innovation[:, first:last], belief, w.rest, r.statistic[b])
-    seen = 0
-    for j in range(n):
-        seen += 1 if visible[0, j] else 0
+        square_all(innovation[:, first:last], belief, w.rest, statistic[0])
+        if detector == WINDOWED:
+            threshold[0, 0] = s[1] * seen  # rows of the epoch, then those of the window
+            past = r.first[b:e], r.second[b:e], r.judged[b:e]
+            epoch = statistic[0], threshold[0]
+            window_sum(*epoch, int(s[0]), *past, *epoch)
+            seen = int(threshold[0, 0])
     for c in range(statistic.shape[1]):
         if SHEWHART <= detector <= CUSUM:
             threshold[0, c] = s[1]
-        elif detector == SNAPSHOT:
+        elif detector >= SNAPSHOT:
             threshold[0, c] = t.limits[seen]
     if not is_sound(statistic, threshold, weights):
         r.faults[b] |= UNSOUND
@@ -109,79 +101,117 @@ def judge(r, t, w, b, detector):
             weights[0, k] = 1.0
 
 
+def name_offsets(r, b):
+    """What an attack by offsets remembers of receiver b, and its scratch memory."""
+    e, work, n = b + 1, r.offset_work[b], r.visible.shape[1]
+    known = r.requested[b:e], r.taken[b:e], r.orders[b:e], r.bases[b:e], r.residual[b:e]
+    sizes = n, r.requested.shape[1], r.bases.shape[1]
+    return Capturing(*known), divide_offsets(work, *sizes, work[work.shape[0] - 1])
+
+
+def name_truth(t):
+    return EpochTruth(t.epoch_time, t.satellites, t.position_e, t.velocity_e)
+
+
+def move_attack(r, t, w, b, command, hold, attack):
+    """Let the attack write what it adds to the coming epoch of receiver b."""
+    e = b + 1
+    offsets = r.range_offset[b:e], r.rate_offset[b:e]
+    moved = r.displacement[b:e], r.rate[b:e]
+    commanded, epochs = Commanded(command, hold, t.attack_settings, *moved), r.epochs[b:e]
+    truth, error = name_truth(t), r.target_error[b:e]
+    if attack == FALSE_POSITION:
+        rest = epochs, truth, t.captured, *offsets, 0, w.solution[8:14], w.solution[:8]
+        displace_antenna(commanded, t.axes_e, error, *rest)
+    elif attack == PER_CHANNEL:
+        per_channel(commanded, t.slots, epochs, truth, t.captured, *offsets, 0, 1)
+    elif attack == OFFSETS:
+        capturing, scratch = name_offsets(r, b)
+        command_axes(commanded, capturing, t.axes_e, error, epochs, truth, *offsets, 0, scratch)
+
+
 def run_receiver(r, t, b, command, hold, attack, detector, what):
     """An epoch of receiver b; `command` (1, a). Whether its detector alarms."""
     e = b + 1
-    d_range, d_rate = r.range_offset[b:e], r.rate_offset[b:e]
-    a = Arrays(
-        r.x[b],
-        r.assumed[b % r.assumed.shape[0]],
-        r.out[b],
-        t.places,
-        r.visible[b:e],
-        r.coasting[b:e],
-        r.sensors[b],
-        r.constants[b % r.constants.shape[0]],
-        r.keys[b],
-        r.epochs[b:e],
-        d_range,
-        d_rate,
-        r.authentic[b:e],
-        r.in_run[b],
-        t.run,
-        t.epoch_time,
-        t.epoch_end,
-        t.satellites,
-        t.rules,
-        r.signals[b],
-        t.mappings,
-    )
-    w = divide_scratch(a, r.work[b], r.spans[b])
+    assumed, constants = r.assumed[b % r.assumed.shape[0]], r.constants[b % r.constants.shape[0]]
+    shown = assumed, r.out[b], t.places, r.visible[b:e], r.coasting[b:e]
+    measured = r.sensors[b], constants, r.keys[b], r.epochs[b:e]
+    added = r.range_offset[b:e], r.rate_offset[b:e], r.authentic[b:e], r.in_run[b]
+    known = t.run, t.epoch_time, t.epoch_end, t.satellites, t.rules, r.signals[b], t.mappings
+    a = receiver.Arrays(r.x[b], *shown, *measured, *added, *known)
+    w = receiver.divide_scratch(a, r.work[b], r.spans[b])
     if what & ATTACKED:
-        moved = r.displacement[b:e], r.rate[b:e]
-        commanded = Commanded(command, hold, t.attack_settings, *moved)
-        truth = EpochTruth(t.epoch_time, t.satellites, t.position_e, t.velocity_e)
-        if attack == FALSE_POSITION:
-            rest = a.epochs, truth, t.captured, d_range, d_rate, 0
-            scratch = w.solution[8:14], w.solution[:8]
-            displace_antenna(commanded, t.axes_e, r.target_error[b:e], *rest, *scratch)
-        elif attack == PER_CHANNEL:
-            per_channel(commanded, t.slots, a.epochs, truth, t.captured, d_range, d_rate, 0, 1)
-    predict_group(a, w, 0, MEASURE | PREDICT | SHOW)
+        move_attack(r, t, w, b, command, hold, attack)
+    receiver.predict_group(a, w, 0, receiver.MEASURE | receiver.PREDICT | receiver.SHOW)
     alarmed = False
     if what & JUDGED and detector != NEVER:
         judge(r, t, w, b, detector)
         for c in range(r.alarm.shape[1]):
             alarmed = alarmed or r.alarm[b, c]
-    update_group(a, w, 0, r.weights[b:e])
+    receiver.update_group(a, w, 0, r.weights[b:e])
     for i in range(3):  # `show_position` has written it
         if not abs(r.out[b, 2 + i]) <= FARTHEST:
             r.faults[b] |= DIVERGED
     return alarmed
 
 
-def age(r, t, warmup_alarm, left, count, detector, what):
-    """Run clean epochs of those receivers that have some `left` (B,), at most `count`."""
+def age(r, t, alarmed, ratio, left, count, detector, what):
+    """Run clean epochs of those receivers that have some `left` (B,), at most `count`; `alarmed`,
+    `ratio` (B,): alarms, and the largest ratio of statistic to threshold, so far."""
     b = cuda.grid(1)
     if b >= r.epochs.shape[0]:
         return
     for _ in range(min(count, left[b])):
         if run_receiver(r, t, b, r.displacement[b : b + 1], True, 0, detector, what):
-            warmup_alarm[b] = True
+            alarmed[b] = True
+        for c in range(r.statistic.shape[1] if what & JUDGED else 0):
+            ratio[b] = max(ratio[b], r.statistic[b, c] / r.threshold[b, c])
         left[b] -= 1
 
 
 def play_step(r, t, p, attack, detector):
-    """A step of every receiver, as `envs._kernels.play_epoch` runs it, and its time to alert."""
+    """A decision of every receiver, up to the end of its episode, as `SpoofCore` runs it."""
     b = cuda.grid(1)
     if b >= r.epochs.shape[0]:
         return
+    repeat, alarmed, e = p.pace[0], False, b + 1
+    for k in range(repeat):
+        if p.ended[b]:
+            break
+        for i in range(p.now.shape[1]):
+            action, before = p.action[b, i], p.before[b, i]
+            linear = p.pace[1] > 0 and k + 1 < repeat
+            way = (k + 1) / repeat * (action - before)
+            p.now[b, i] = p.command[b, i] = before + way if linear else action
+        if p.matrix.shape[2] > 0:
+            given = p.matrix[b:e], p.following, r.rate[b:e]
+            envs.follow_rate(p.now[b:e], *given, p.command[b:e])
+        play_epoch(r, t, p, b, attack, detector)
+        if k > 0:
+            add_earlier(p.values, p.sums, b)
+        alarmed = alarmed or p.marks[envs.ALARM, b]
+        p.marks[envs.ALARM, b] = alarmed
+        for row in range(p.values.shape[0]):
+            p.sums[row, b] = p.values[row, b]
+    envs.report_loudest(r.statistic[b:e], r.threshold[b:e], p.values[:, b])
+
+
+def add_earlier(values, sums, b):
+    """Count the earlier epochs of a decision, as `StepResult.add` does."""
+    last = values.shape[0]
+    values[envs.COST, b] = sums[envs.COST, b] + values[envs.COST, b]
+    for row in range(envs.PARTS, last + envs.REWARD):
+        values[row, b] = sums[row, b] + values[row, b]
+    values[last + envs.REWARD, b] = 0.0
+    for row in range(envs.PARTS, last + envs.GAIN):
+        values[last + envs.REWARD, b] += values[row, b]
+
+
+def play_epoch(r, t, p, b, attack, detector):
+    """An epoch of receiver b, as `envs._kernels.play_epoch` runs it, and its time to alert."""
     e = b + 1
-    if p.matrix.shape[2] > 0:
-        given = p.matrix[b:e], p.following, r.rate[b:e]
-        follow_rate(p.action[b:e], *given, p.command[b:e])
-    place = r.out[b : b + 1, 2:5]
-    steps, count = int(p.rules[STEPS]), 1 + int(p.rules[HOLD])
+    place = r.out[b:e, 2:5]
+    steps, count = int(p.rules[envs.STEPS]), 1 + int(p.rules[envs.HOLD])
     first, held = 0, False
     for k in range(count):
         if k > 0 and not held:
@@ -190,59 +220,62 @@ def play_step(r, t, p, attack, detector):
         if k > 0:
             first = k if alarmed and first == 0 else first
             continue
-        aim = r.epochs[b:e], p.direction[b:e], p.rules[WORST] > 0.0, p.origin[b:e]
-        out = p.values[DISPLACEMENT, b:e]
+        aim = r.epochs[b:e], p.direction[b:e], p.rules[envs.WORST] > 0.0, p.origin[b:e]
+        out = p.values[envs.DISPLACEMENT, b:e]
         displace(place, t.position_e, r.epochs[b:e], t.C_en, *aim, out, 0, 1)
         progress = p.step_count, p.detected, p.ended, p.undetected, p.largest
-        held = score(r.alarm, p.no_rows, p.rules, *progress, p.values, p.marks, b, e)
+        held = envs.score(r.alarm, p.no_rows, p.rules, *progress, p.values, p.marks, b, e)
     if held:
         so_far = p.step_count, p.detected, p.undetected, p.largest
-        score_late(first, b, count - 1, steps, *so_far, p.values, p.marks)
+        envs.score_late(first, b, count - 1, steps, *so_far, p.values, p.marks)
     progress = p.detected, p.ended, p.undetected, p.no_rows, p.warmup_alarm, r.coasting, r.epochs
-    settle(p.rules, *progress, p.values, p.marks, b, e)
-    report_loudest(r.statistic[b:e], r.threshold[b:e], p.values[:, b])
+    envs.settle(p.rules, *progress, p.values, p.marks, b, e)
 
 
 def look(r, t, p):
-    """Write what is tabled, the own command, time and motion, as they are observed now."""
+    """Write what is tabled, own command and offsets, time and motion, as they are observed now."""
     b = cuda.grid(1)
     if b >= r.epochs.shape[0]:
         return
     e = b + 1
     now = r.epochs, r.displacement, r.rate, p.direction
-    observe(p.rules, p.per_rate, p.table, *now, p.seen, b, e)
+    envs.observe(p.rules, p.per_rate, p.table, *now, p.seen, b, e)
     if p.time.shape[0] > 0:
-        time_fractions(r.epochs[b:e], p.onset[b:e], p.rules[STEPS], p.time[b:e])
+        envs.time_fractions(r.epochs[b:e], p.onset[b:e], p.rules[envs.STEPS], p.time[b:e])
     if p.motion.shape[0] > 0:
         known = t.position_e, t.velocity_e, t.C_en, r.epochs[b:e], p.onset[b:e]
         local_motion(*known, p.scales[0], p.scales[1], p.motion[b:e])
+    if p.action_mask.shape[0] > 0:
+        capturing, w = name_offsets(r, b)
+        rest = t.axes_e, r.target_error[b:e], r.epochs[b:e], name_truth(t)
+        known, coming = (t.attack_settings, capturing, *rest), p.action_mask[b:e]
+        list_axes(r.displacement[b:e], *known, p.offsets_m[b:e], coming, 0, w)
+        list_axes(r.requested[b:e], *known, p.requested_offsets_m[b:e], coming, 0, w)
 
 
-def pick(p, seed, pasts):
-    """Choose a past by episode, receiver and seed, where one is over; -1 elsewhere."""
+def pick(p, keys, pasts, seed, sources):
+    """Choose a past by episode, receiver and seed, where one is over, -1 elsewhere, and draw the
+    keys of noise that goes on, by its `sources`; the others are those of the `pasts` (M, k)."""
     b = cuda.grid(1)
     if b >= p.picked.shape[0]:
         return
     p.picked[b] = -1
-    if p.ended[b]:
-        p.number[b] += 1
-        word, _ = threefry(np.uint64(p.number[b]), np.uint64(b), seed[0], seed[1])
-        p.picked[b] = np.int64(word % np.uint64(pasts))
-        p.step_count[b] = 0
-        p.undetected[b] = p.largest[0, b] = 0.0
-        p.detected[b] = p.ended[b] = False
-
-
-def renew(p, keys, seed, sources):
-    """Draw new noise, by `sources` the keys that change, for receivers that have picked a past."""
-    b = cuda.grid(1)
-    if b >= p.picked.shape[0] or p.picked[b] < 0:
+    if not p.ended[b]:
         return
+    p.number[b] += 1
     k0, k1 = threefry(np.uint64(p.number[b]), np.uint64(b), seed[0], seed[1])
+    past = np.int64(k0 % np.uint64(pasts.shape[0]))
+    for i in range(keys.shape[1]):
+        keys[b, i] = pasts[past, i]
     for i in range(sources.shape[0]):
         source = sources[i]
         key = threefry(np.uint64(source), np.uint64(0), k0, k1)
         keys[b, 2 * source], keys[b, 2 * source + 1] = key[0], key[1]
+    for i in range(p.action.shape[1]):
+        p.action[b, i] = p.before[b, i] = 0.0
+    p.picked[b], p.step_count[b] = past, 0
+    p.undetected[b] = p.largest[0, b] = 0.0
+    p.detected[b] = p.ended[b] = False
 
 
 def take(to, past, picked):

@@ -5,33 +5,42 @@ A receiver has on a device what a batch of one has on the processor.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import copy
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numba import cuda
 from numpy.typing import NDArray
 
+from ..attacks._offset_kernels import scratch_shape
 from ..detectors.charts import Ewma, Shewhart
-from ..detectors.chi_square import SnapshotChi2
+from ..detectors.chi_square import SnapshotChi2, WindowedChi2
 from ..detectors.controls import Never
 from ..detectors.cusum import Cusum
-from ..receiver._kernels import work_rows
 from ..receiver.epoch import ReceiverBuffers
-from ..simulation.tight import ATTACK_FORMS, TightlyCoupledSimulator
-from ..truth.noise import pad_count
-from ..truth.signal_errors import OBLIQUITIES
+from ..simulation.tight import ATTACK_FORMS, TightlyCoupledSimulator, split_scale
 from . import _kernels
-from ._lanes import SIMULATED
-from .supported import split_scale
+from ._compile import SIMULATED
 
 Arrays = dict[str, NDArray[Any]]
-NUMBERS: dict[type[Any], int] = {
-    Never: _kernels.NEVER,
-    Shewhart: _kernels.SHEWHART,
-    Cusum: _kernels.CUSUM,
-    SnapshotChi2: _kernels.SNAPSHOT,
+DETECTORS: dict[type[Any], tuple[int, tuple[str, ...], Callable[[Any], Iterable[float]]]] = {
+    Never: (_kernels.NEVER, (), lambda _: ()),
+    Ewma: (_kernels.EWMA, ("average", "decay"), lambda it: it.kernel_settings),
+    Shewhart: (_kernels.SHEWHART, (), lambda it: (0.0, it._quantile)),
+    Cusum: (_kernels.CUSUM, ("above", "below"), lambda it: (it.allowance, it.limit)),
+    SnapshotChi2: (_kernels.SNAPSHOT, (), lambda _: ()),
+    WindowedChi2: (
+        _kernels.WINDOWED,
+        ("past", "past_rows"),
+        lambda it: (it.silent_epochs, it._per_satellite),
+    ),
 }
+"""Number of a detector in kernels, what it remembers by name, and its first settings."""
+ALIKE = "assumed", "constants"
+"""What is one for all receivers where all are alike."""
+OF_OFFSETS = dict(requested=float, taken=bool, orders=int, bases=int, residual=float)
+"""What an attack by offsets remembers, beside what all do."""
 
 
 def put(torch: Any, array: NDArray[Any], device: Any, shared: bool = False) -> Any:
@@ -51,24 +60,50 @@ def view_for_kernels(tensor: Any, words: bool = False) -> Any:
 
 
 class Tensors:
-    """Arrays of receivers by name, as tensors, and in a named tuple of kernels."""
+    """Arrays of receivers by name, as tensors, and as kernels take them: `views`."""
 
     def __init__(
         self, torch: Any, arrays: Mapping[str, NDArray[Any]], device: Any, *, shared: bool = False
     ) -> None:
-        put_each = {name: put(torch, array, device, shared) for name, array in arrays.items()}
-        self.tensors: dict[str, Any] = put_each
         self.words = {name for name, array in arrays.items() if array.dtype == np.uint64}
-        self.views = {
-            name: view_for_kernels(tensor, name in self.words)
-            for name, tensor in self.tensors.items()
-        }
+        self.take({name: put(torch, array, device, shared) for name, array in arrays.items()})
+
+    def take(self, tensors: dict[str, Any]) -> None:
+        self.tensors = tensors
+        self.views = {name: view_for_kernels(x, name in self.words) for name, x in tensors.items()}
 
     def __getitem__(self, name: str) -> Any:
         return self.tensors[name]
 
+    def __or__(self, other: Tensors) -> Tensors:
+        both = copy.copy(self)
+        both.words = self.words | other.words
+        both.take(self.tensors | other.tensors)
+        return both
+
+    def resize(self, receivers: int) -> Tensors:
+        """The same of so many receivers, all 0, but for what all share."""
+        other = copy.copy(self)
+        other.take(
+            {
+                name: x if name in ALIKE and len(x) == 1 else _make_zeros(x, receivers)
+                for name, x in self.tensors.items()
+            }
+        )
+        return other
+
+    @property
+    def bytes_each(self) -> int:
+        """Memory of a receiver."""
+        return sum(int(x.element_size() * x[:1].numel()) for x in self.tensors.values())
+
     def name_views(self, kind: Any) -> Any:
         return kind(**{name: self.views[name] for name in kind._fields})
+
+
+def _make_zeros(like: Any, receivers: int) -> Any:
+    zeros = like.new_zeros((*reversed(like.shape[1:]), receivers))
+    return zeros.permute(tuple(reversed(range(like.ndim))))
 
 
 class Layout:
@@ -76,90 +111,67 @@ class Layout:
     is shown of an epoch, and sizes."""
 
     def __init__(self, simulator: TightlyCoupledSimulator) -> None:
-        self.setup, world = simulator.setup, simulator.setup.world
-        self._attack = simulator.attack
+        self._simulator, attack = simulator, simulator.attack
+        self.attack = ATTACK_FORMS.get(type(attack), _kernels.OFFSETS)
         inner, scale = split_scale(simulator.detector)
-        self.attack, self.detector = ATTACK_FORMS[type(self._attack)], number_detector(inner)
-        n = self.channels = world.channels
-        wanted = ("innovation_cov",) if self.detector == _kernels.SNAPSHOT else ()
-        one = ReceiverBuffers(1, n, wanted)
-        self.places, self.shown = one.places.astype(np.int64), len(one.seen_floats)
-        self.sizes = pad_count(6 * world.most_samples), pad_count(2 * n)
-        rows = getattr(inner, "_rows", (0, n))
-        self.settings, self.limits = np.zeros(6), np.zeros(1)
-        self.settings[3:] = scale, *rows
-        self.memory: Arrays = {"first": np.zeros((1, 0)), "second": np.zeros((1, 0))}
-        if isinstance(inner, Ewma):
-            self.settings[:3] = inner.kernel_settings
-            self.memory = {"first": np.zeros((1, n)), "second": np.ones((1, n))}
-        elif isinstance(inner, Shewhart):
-            self.settings[1] = inner._quantile
-        elif isinstance(inner, Cusum):
-            self.settings[:2] = inner.allowance, inner.limit
-            sums = np.zeros((1, rows[1] - rows[0]))
-            self.memory = {"first": sums, "second": sums}
-        elif isinstance(inner, SnapshotChi2):
-            self.limits = np.asarray(inner._thresholds, dtype=np.float64)
+        self.detector, self._remembered, settings = DETECTORS[type(inner)]
+        if isinstance(inner, Ewma) and inner.weight_scale is None:
+            self.detector = _kernels.PASSIVE_EWMA
+        n = self.channels = simulator.setup.world.channels
+        first = (*settings(inner), 0.0, 0.0, 0.0)[:3]
+        self.settings = np.array([*first, scale, *getattr(inner, "_rows", (0, n))], dtype=float)
+        self.limits = np.asarray(getattr(inner, "_thresholds", np.zeros(1)), dtype=float)
         whole = inner.scope == "receiver" or self.detector == _kernels.NEVER
         self.columns = 1 if whole else n
+        wanted = ("innovation_cov",) if self.detector >= _kernels.SNAPSHOT else ()
+        one = ReceiverBuffers(1, n, wanted)
+        self.places, self.shown = one.places.astype(np.int64), len(one.seen_floats)
+        self._offset_work: tuple[int, int] = 1, 1
+        if self.attack == _kernels.OFFSETS:
+            shapes = (attack.memory[name].shape[1] for name in ("displacement", "bases"))
+            self._offset_work = scratch_shape(n, *shapes)
 
     def share(self, torch: Any, device: Any) -> Tensors:
         """What all receivers read, in C order."""
-        setup, world, attack = self.setup, self.setup.world.at_hand, self._attack
-        rules = setup.receiver
-        whether = rules.covariance_code, rules.min_satellites, rules.orthonormalize
-        axes_e = getattr(attack, "axes_e", np.zeros((1, 1, 6)))
-        no_mappings = np.zeros((0, self.channels, OBLIQUITIES))
+        simulator = self._simulator
         shared = {
-            **{name: getattr(world, name) for name in ("run", "epoch_time", "epoch_end")},
-            **{name: getattr(world, name) for name in ("satellites", "position_e", "velocity_e")},
-            "C_en": world.C_en,
-            "axes_e": axes_e,
-            "captured": attack.mask,
-            "slots": attack.slots.astype(np.int64),
-            "attack_settings": attack.kernel_settings,
-            "rules": np.array((*whether, *self.sizes), dtype=np.int64),
+            **simulator.shared_arrays(),
+            "C_en": simulator.setup.C_en,
+            "axes_e": getattr(simulator.attack, "axes_e", np.zeros((1, 1, 6))),
             "places": self.places,
-            "mappings": setup.mappings if setup.mappings.size else no_mappings,
             "settings": self.settings,
             "limits": self.limits,
         }
         return Tensors(torch, shared, device, shared=True)
 
-    def gather(self, simulator: TightlyCoupledSimulator) -> Arrays:
-        """Of receivers that have just started, all that lasts, as (M, ...) arrays."""
-        buffers, sensors, memory = simulator.buffers, simulator.sensors, simulator.attack.memory
-        m, n, c = simulator.receivers, self.channels, self.columns
-        nowhere = np.zeros((m, 6))
-        shown = np.zeros((m, self.shown))
+    def gather(self) -> Arrays:
+        """All that lasts of receivers that have just started, as (M, ...) arrays."""
+        simulator, m, n = self._simulator, self._simulator.receivers, self.channels
+        attack, judge = simulator.attack.memory, split_scale(simulator.detector)[0].memory
+        known, nothing = [judge[name] for name in self._remembered], np.zeros((m, 0))
+        first, second, *_ = (np.asarray(x, dtype=float) for x in (*known, nothing, nothing))
         return {
-            "x": buffers.fields.gather(),
-            "assumed": buffers.assumed.gather(),
-            "out": shown,
-            "visible": np.zeros((m, n), dtype=np.bool_),
-            "coasting": np.zeros(m, dtype=np.bool_),
-            "sensors": sensors.fields.gather(),
-            "constants": sensors.constants.gather(),
-            "keys": sensors.words.gather(),
-            "epochs": sensors.epoch,
+            **simulator.lasting_arrays(),
+            **{name: attack.get(name, nothing.astype(t)) for name, t in OF_OFFSETS.items()},
+            "first": first,
+            "second": second,
+            "judged": judge.get("seen", np.zeros(m, dtype=np.int64)),
+            "out": np.zeros((m, self.shown)),
             "range_offset": np.zeros((m, n)),
             "rate_offset": np.zeros((m, n)),
-            "in_run": sensors.in_run.gather(),
-            "signals": sensors.signals.gather(),
-            "displacement": memory["displacement"],
-            "rate": memory["rate"],
-            "target_error": memory.get("target_error", nowhere),
-            **{name: np.repeat(one, m, axis=0) for name, one in self.memory.items()},
-            "statistic": np.zeros((m, c)),
-            "threshold": np.full((m, c), self.settings[3]),
-            "alarm": np.zeros((m, c), dtype=np.bool_),
+            "visible": np.zeros((m, n), dtype=np.bool_),
+            "coasting": np.zeros(m, dtype=np.bool_),
+            "statistic": np.zeros((m, self.columns)),
+            "threshold": np.full((m, self.columns), self.settings[3]),
+            "alarm": np.zeros((m, self.columns), dtype=np.bool_),
             "weights": np.ones((m, 2 * n)),
         }
 
     def scratch(self, receivers: int) -> Arrays:
         return {
-            "work": np.zeros((receivers, work_rows(self.channels, *self.sizes))),
+            "work": np.zeros((receivers, self._simulator.work_rows)),
             "spans": np.zeros((receivers, 4, 1), dtype=np.int64),
+            "offset_work": np.zeros((receivers, *self._offset_work)),
             "faults": np.zeros(receivers, dtype=np.int64),
         }
 
@@ -176,9 +188,3 @@ class Layout:
         views["covariance"] = view_for_kernels(part)
         views["authentic"] = view_for_kernels(out[:0, :m])
         return lasting.name_views(_kernels.Receivers)
-
-
-def number_detector(detector: Any) -> int:
-    if isinstance(detector, Ewma):
-        return _kernels.PASSIVE_EWMA if detector.weight_scale is None else _kernels.EWMA
-    return NUMBERS[type(detector)]

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from ..attacks.commands import FalsePosition, PerChannel
+from ..attacks.offsets import Offsets
 from ..core.extras import name_extra
-from ..detectors import Detector
 from ..detectors.calibrated import Calibrated
 from ..detectors.charts import Ewma, Shewhart
-from ..detectors.chi_square import SnapshotChi2
-from ..detectors.controls import Never
-from ..detectors.cusum import Cusum
 from ..envs.core import SpoofCore
 from ..envs.terms import observation as seen
-from ..simulation.tight import TightlyCoupledSetup
+from ..simulation.setup import Setup
+from ..simulation.tight import TightlyCoupledSetup, split_scale
+from .memory import DETECTORS
 
 LEAST_CUDA = (13, 0)
-DETECTORS: tuple[type[Detector], ...] = (Never, Ewma, Shewhart, Cusum, SnapshotChi2)
 TERMS: dict[type[Any], str] = {
+    seen.OwnOffsets: "offsets",
     seen.Time: "time",
     seen.TargetMotion: "motion",
     seen.TargetDirection: "direction",
@@ -35,7 +35,7 @@ def import_torch() -> Any:
     try:
         import torch
 
-        from ._lanes import SIMULATED
+        from ._compile import SIMULATED
 
         if not SIMULATED:
             import numba_cuda  # type: ignore[import-not-found]  # noqa: F401
@@ -59,49 +59,49 @@ def check_driver(cuda: Any) -> None:
         )
 
 
-def split_scale(detector: Detector) -> tuple[Detector, float]:
-    """Detector without a calibration, and the factor on its thresholds."""
-    if isinstance(detector, Calibrated):
-        return detector.detector, float(detector.scale or 1.0)
-    return detector, 1.0
+def check_receivers(setup: Setup) -> None:
+    """Raise a ValueError where receivers have what a device lacks, with its name."""
+    if not isinstance(setup, TightlyCoupledSetup):
+        raise ValueError(f"device='cuda' has no {setup.whose}: only a tightly coupled receiver")
+    detector: Any = split_scale(setup.detector)[0]
+    weighs = isinstance(detector, Ewma) and detector.weight_scale is not None
+    rescaled = isinstance(setup.detector, Calibrated) and setup.detector.rescaled
+    known = type(detector) in DETECTORS or rescaled
+    found = {
+        "receiver 'augmented'": setup.receiver.tuning == "augmented",
+        "a detector with rescaled innovations": rescaled,
+        f"detector {type(detector).__name__}": not known,
+        "`max_exclusion_s` of the detector": weighs and detector.max_exclusion_s is not None,
+        "`min_satellites` of the detector": weighs and detector.min_satellites,
+        "`bias_window_s` of the detector": getattr(detector, "bias_window_s", 0.0) > 0.0,
+        "`two_sided` of the detector": getattr(detector, "two_sided", False),
+        "a filter of the detector's own": getattr(detector, "filter", "victim") != "victim",
+        "`weight_scale` of Shewhart": isinstance(detector, Shewhart) and detector.weight_scale,
+    }
+    _refuse(found)
 
 
 def check_supported(core: SpoofCore) -> None:
     """Raise a ValueError where an environment has what a device lacks, with its name."""
-    setup, settings = core.setup, core.settings
-    lacking: list[str] = []
-
-    def refuse(found: Any, what: str) -> None:
-        if found:
-            lacking.append(what)
-
-    if not isinstance(setup, TightlyCoupledSetup):
-        raise ValueError(f"device='cuda' has no {setup.whose}: only a tightly coupled receiver")
-    attack, (detector, _) = setup.attack, split_scale(setup.detector)
-    refuse(setup.receiver.tuning == "augmented", "receiver 'augmented'")
-    refuse(type(attack) not in (FalsePosition, PerChannel), f"attack {attack.kind!r}")
+    check_receivers(core.setup)
+    attack, settings = core.setup.attack, core.settings
     equipment = attack.capture is not None or attack.replaces_errors or not attack.idle_is_clean
-    refuse(equipment, "an attack with a capture, tracking, a clock or errors of its own")
-    refuse(type(detector) not in DETECTORS, f"detector {type(detector).__name__}")
-    calibrated = isinstance(setup.detector, Calibrated) and setup.detector.rescaled
-    refuse(calibrated, "a detector with rescaled innovations")
-    if isinstance(detector, Ewma) and detector.weight_scale is not None:
-        refuse(detector.max_exclusion_s is not None, "`max_exclusion_s` of the detector")
-        refuse(detector.min_satellites, "`min_satellites` of the detector")
-    refuse(getattr(detector, "bias_window_s", 0.0) > 0.0, "`bias_window_s` of the detector")
-    refuse(getattr(detector, "two_sided", False), "`two_sided` of the detector")
-    refuse(getattr(detector, "filter", "victim") != "victim", "a filter of the detector's own")
-    refuse(isinstance(detector, Shewhart) and detector.weight_scale, "`weight_scale` of Shewhart")
-    refuse(settings["watch"], "`watch`")
-    refuse(settings["epoch"] is not False, "`epoch`")
-    refuse(core._has_ends, "an `end` but at an alarm")
-    refuse(settings["twin"], "`twin`")
-    refuse(core.commands.base is not None, "an action that corrects a spoofer's")
-    refuse(setup.repeat > 1, "`decision_interval_s`")
-    refuse(not core._compiled, "a reward term in Python")
-    for term, _ in core.observer._parts:
-        refuse(type(term) not in TERMS, f"observation term {type(term).__name__}")
-    if lacking:
+    found = {
+        f"attack {attack.kind!r}": type(attack) not in (FalsePosition, PerChannel, Offsets),
+        "an attack with a capture, tracking, a clock or errors of its own": equipment,
+        "`watch`": settings["watch"],
+        "`epoch`": settings["epoch"] is not False,
+        "an `end` but at an alarm": core._has_ends,
+        "`twin`": settings["twin"],
+        "an action that corrects a spoofer's": core.commands.base is not None,
+        "a reward term in Python": not core._compiled,
+    }
+    seen = {type(term) for term, _ in core.observer._parts}
+    _refuse(found | {f"observation term {x.__name__}": x not in TERMS for x in seen})
+
+
+def _refuse(found: Mapping[str, Any]) -> None:
+    if lacking := [what for what, there in found.items() if there]:
         raise ValueError(f"device='cuda' does not have {', '.join(lacking)}")
 
 

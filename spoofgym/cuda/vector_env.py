@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 
 from ..core.registry import check_choice, whole_number
 from ..envs._kernels import REWARD, TERMINATED
@@ -17,21 +16,18 @@ from ..envs.factory import DEFAULT_VICTIM, make_core, select_victim
 from ..envs.options import (
     TOLERANCE,
     InfoSpec,
-    action_space,
     check_vector_settings,
     checked_seed,
     info_keys,
-    observation_space,
     parse_autoreset_mode,
 )
 from ..envs.scoring import MARK_NAMES, MARKS
-from ..simulation.simulator import FilterDiverged
 from ..simulation.tight import AFTER_ONSET
 from ..truth.sensors import SOURCES
 from . import _kernels
-from ._lanes import SIMULATED
-from .memory import Tensors, view_for_kernels
-from .pool import Pool, launch
+from ._compile import SIMULATED
+from .memory import Arrays, Tensors, view_for_kernels
+from .pool import launch, raise_faults, start_pasts
 from .supported import TERMS, check_free_memory, check_supported, import_torch
 
 PASTS = 16_384
@@ -96,65 +92,52 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         core = make_core(select_victim(victim), pasts, settings, whose=f"victim {victim!r}")
         check_supported(core)
         self.core, self._layout = core, core._fused.layout
-        self.observation_names, self.action_names = core.observation_names, core.action_names
-        self.single_observation_space = observation_space(core)
-        self.single_action_space = action_space(core)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self._keys = info_keys(infos, (*self._layout.names, FINAL))
+        self.name_spaces(core, num_envs)
+        names = *self._layout.names, *core.setup.attack.reports, FINAL
+        keys = info_keys(infos, names)
+        self._keys = names if keys is None else tuple(key for key in names if key in keys)
         with torch.no_grad():
-            self._pool = Pool(torch, core, self.device, self._stream)
             self._allocate()
         self._started = False
 
-    @property
-    def _stream(self) -> Any:
-        """The stream of PyTorch, for numba; the simulator has none."""
-        if self.device.type == "cpu":
-            return 0
-        from numba import cuda
-
-        return cuda.external_stream(self._torch.cuda.current_stream(self.device).cuda_stream)
-
     def _allocate(self) -> None:
-        torch, core, pool, b = self._torch, self.core, self._pool, self.num_envs
-        setup, layout, device = core.setup, pool.layout, self.device
+        torch, core, b, device = self._torch, self.core, self.num_envs, self.device
+        setup, attack, rows = core.setup, core.setup.attack, self._layout.numbers + 3
+        flight, episodes = start_pasts(torch, core, device)
+        pasts, self._flight = flight.tensors | episodes, flight
         if device.type != "cpu":
-            largest = 8 * (setup.steps + 1 + self._layout.numbers + 3)
-            check_free_memory(b, pool.bytes_each + largest, torch.cuda.mem_get_info(device)[0])
-        arrays: dict[str, Any] = layout.scratch(b)
-        alike = [name for name in ("assumed", "constants") if pool.lasting[name].shape[0] == 1]
-        for name, past in pool.lasting.items():
-            host = past[:1].cpu().numpy()
-            host = host.view(np.uint64) if name in pool.words else host
-            arrays[name] = host if name in alike else np.zeros((b, *host.shape[1:]), host.dtype)
-        parts = core.observer._parts
-        self._parts: list[Any] = [(TERMS[type(term)], term, part) for term, part in parts]
-        terms = {kind: term for kind, term, _ in self._parts}
-        observed, motion = len(core.observation_names), terms.get("motion")
-        arrays |= {
-            "action": np.zeros((b, len(self.action_names))),
-            "command": np.zeros((b, len(setup.action_names))),
-            "seen": np.zeros((b, observed), dtype=np.float32),
+            each = pasts.bytes_each + 8 * (setup.steps + 1 + 2 * rows)
+            check_free_memory(b, each, torch.cuda.mem_get_info(device)[0])
+        self._parts = [(TERMS[type(term)], term, part) for term, part in core.observer._parts]
+        terms: dict[str, Any] = {kind: term for kind, term, _ in self._parts}
+        motion, reported = terms.get("motion"), b if attack.reports else 0
+        axes, decided = len(setup.action_names), len(self.action_names)
+        offsets = np.zeros((reported, pasts["orders"].shape[1]))
+        own: Arrays = {
+            **dict.fromkeys(("action", "before", "now"), np.zeros((b, decided))),
+            **dict.fromkeys(("step_count", "number", "picked"), np.zeros(b, dtype=np.int64)),
+            **dict.fromkeys(("detected", "ended", "no_rows"), np.zeros(b, dtype=np.bool_)),
+            **dict.fromkeys(("offsets_m", "requested_offsets_m"), offsets),
+            "action_mask": np.zeros((reported, axes), dtype=np.bool_),
+            "command": np.zeros((b, axes)),
+            "seen": np.zeros((b, len(core.observation_names)), dtype=np.float32),
             "motion": np.zeros((b if motion else 0, 6), dtype=np.float32),
             "time": np.zeros((b if "time" in terms else 0, 2), dtype=np.float32),
-            **{name: np.zeros(b, dtype=np.int64) for name in ("step_count", "number", "picked")},
-            **{name: np.zeros(b, dtype=np.bool_) for name in ("detected", "ended", "no_rows")},
             "undetected": np.zeros(b),
         }
-        self._arrays = Tensors(torch, arrays, device)
-        if core.commands.is_plain:
-            self._arrays.views["command"] = self._arrays.views["action"]
+        self._arrays = pasts.resize(b) | Tensors(torch, own, device)
         _, rules, per_rate, table = core._fused._fixed
         scales = (motion.position_scale_m, motion.velocity_scale_mps) if motion else (1.0, 1.0)
-        rows = {
+        shared = {
             "largest": np.zeros((setup.steps + 1, b)),
-            "values": np.zeros((self._layout.numbers + 3, b)),
+            "values": np.zeros((rows, b)),
+            "sums": np.zeros((rows, b)),
             "marks": np.zeros((MARKS, b), dtype=np.bool_),
             "rules": rules,
             "per_rate": np.asarray(per_rate, dtype=np.float64),
             "table": table,
             "following": core.commands._rules,
+            "pace": np.array([setup.repeat, setup.between == "linear"], dtype=np.int64),
             "scales": 1.0 / np.array(scales),
             "seed": np.zeros(2, dtype=np.uint64),
             "sources": np.array([SOURCES.index(name) for name in AFTER_ONSET]),
@@ -162,45 +145,31 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
             "high": core.bounds[1],
         }
         if "geometry" in terms:
-            rows["geometry"] = np.asarray(setup.geometry_table(), dtype=np.float32)
-        self._rows = Tensors(torch, rows, device, shared=True)
-        self._receivers = layout.name_receivers(self._arrays)
-        self._shared = pool.shared.name_views(_kernels.Shared)
+            shared["geometry"] = np.asarray(setup.geometry_table(), dtype=np.float32)
+        if "offsets" in terms:
+            shared["unit_rates"] = attack.unit_rates(setup.world)
+        self._rows = Tensors(torch, shared, device, shared=True)
+        receivers = flight.layout.name_receivers(self._arrays)
         views = self._arrays.views | self._rows.views
         self._episodes = _kernels.Episodes(*(views[name] for name in _kernels.Episodes._fields))
-        self._known = self._receivers, self._shared, self._episodes
-        self._copies = [self._pair(name) for name in pool.lasting if name not in alike]
-
-    def _pair(self, name: str) -> tuple[Any, Any]:
-        """A quantity of the receivers and of the pasts, all its columns in one axis."""
-
-        def flatten(tensor: Any) -> Any:
-            columns = tensor[0].numel() if tensor.ndim > 1 else 1
-            strides = 1, tensor.shape[0]
-            flat = tensor.as_strided((tensor.shape[0], columns), strides)
-            return view_for_kernels(flat, name in self._pool.words)
-
-        return flatten(self._arrays[name]), flatten(self._pool.lasting[name])
+        self._known = receivers, flight.shared.name_views(_kernels.Shared), self._episodes
+        words = views["seed"], views["sources"]
+        self._pick = self._episodes, receivers.keys, pasts.views["keys"], *words
+        self._copies = [
+            [
+                view_for_kernels(_flatten(x[name]), name in pasts.words)
+                for x in (self._arrays, pasts)
+            ]
+            for name in (*flight.gathered, *episodes.tensors)
+            if name != "keys" and len(pasts[name]) == core.receivers and pasts[name][0].numel()
+        ]
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start an episode in every receiver.
-
-        Parameters
-        ----------
-        seed : int, optional
-            Of all episodes from here on; without one the present ones go on with the next.
-        options : mapping, optional
-            There are none.
-
-        Returns
-        -------
-        observation : Tensor
-            (B, o) float32.
-        info : dict
-            Empty.
-        """
+        """Start an episode in every receiver. `seed` is that of all episodes from here on; without
+        one the present ones go on with the next. There are no `options`. Returns `observation`
+        (B, o) float32, and no information."""
         if options:
             raise ValueError(f"device='cuda' has no options of a reset, got {sorted(options)}")
         super().reset(seed=checked_seed(seed))
@@ -210,64 +179,37 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
             self._arrays["number"].zero_()
         self._arrays["faults"].zero_()
         self._arrays["ended"].fill_(True)
-        self._restart()
         self._started = True
-        return self._observe(), {}
+        return self._restart(), {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Give one command to every receiver, and run one epoch.
-
-        Parameters
-        ----------
-        actions : Tensor
-            (B, a) in [-1, 1], on the device.
-
-        Returns
-        -------
-        observation : Tensor
-            (B, o) float32; of the next episode where one has ended.
-        reward : Tensor
-            (B,) float64.
-        terminated, truncated : Tensor
-            (B,) bool; the second is False.
-        info : dict
-            Tensors (B,) by the keys that have been requested; ``"final_obs"`` (B, o) is what was
-            observed before the reset.
-
-        Raises
-        ------
-        RuntimeError
-            Before the first reset.
-        TypeError, ValueError
-            For actions that are no tensor of the device, of another shape, or not in [-1, 1].
-        FilterDiverged
-            When a filter has had no position since the last step.
-        """
+        """Give one command to every receiver, and run the epochs of a decision. `actions` (B, a) in
+        [-1, 1], on the device; returns tensors: `observation` (B, o) float32, of the next episode
+        where one has ended, `reward` (B,) float64, `terminated`, and `truncated`, which is False.
+        Information is by the keys that have been requested; ``"final_obs"`` (B, o) is what was
+        observed before the reset. A filter that has diverged is an error of the step after it."""
         if not self._started:
             raise RuntimeError("call reset() before step()")
-        torch, arrays, rows = self._torch, self._arrays, self._rows
         self._check(actions)
-        with torch.no_grad():
-            arrays["action"].copy_(actions)
-            rows["marks"].zero_()
-            rest = self._pool.layout.attack, self._pool.layout.detector
-            launch("play_step", self.num_envs, self._stream, *self._known, *rest)
-            reward = rows["values"][REWARD].clone()
-            terminated = rows["marks"][TERMINATED].clone()
-            info = self._report()
-            self._restart()
-            observation = self._observe()
-        return observation, reward, terminated, torch.zeros_like(terminated), info
+        with self._torch.no_grad():
+            return self.step_unchecked(actions)
+
+    def step_unchecked(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """`step` without a look at actions and faults: nothing waits for the device, so that it may
+        be part of a CUDA graph. `check` says later what has gone wrong."""
+        arrays, rows, layout = self._arrays, self._rows, self._flight.layout
+        arrays["before"].copy_(arrays["action"])
+        arrays["action"].copy_(actions)
+        rows["marks"].zero_()
+        kinds = layout.attack, layout.detector
+        launch("play_step", self.num_envs, self.device, *self._known, *kinds)
+        reward, terminated = rows["values"][REWARD].clone(), rows["marks"][TERMINATED].clone()
+        info = self._report()
+        return self._restart(), reward, terminated, self._torch.zeros_like(terminated), info
 
     def check(self) -> None:
         """Raise what kernels have found: `FilterDiverged`, or a verdict that is not finite."""
-        faults = self._arrays["faults"]
-        if not bool(faults.any()):
-            return
-        b = int((faults != 0).nonzero()[0])
-        if int(faults[b]) & _kernels.DIVERGED:
-            raise FilterDiverged(f"the filter of receiver {b} of {self.num_envs} has diverged")
-        raise ValueError(f"the detector's verdict on receiver {b} is not finite")
+        raise_faults(self._arrays["faults"])
 
     def _check(self, actions: Any) -> None:
         torch, shape = self._torch, (self.num_envs, len(self.action_names))
@@ -284,40 +226,45 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         raise ValueError("actions must be in [-1, 1], and some are not, or are NaN")
 
     def _report(self) -> dict[str, Any]:
-        numbers, rows = self._layout.names[: self._layout.numbers], self._rows
-        info: dict[str, Any] = {}
-        for name in (*self._layout.names, FINAL) if self._keys is None else self._keys:
-            if name == FINAL:
-                info[name] = self._observe()
-            elif name in numbers:
-                info[name] = rows["values"][numbers.index(name)].clone()
-            else:
-                info[name] = rows["marks"][MARK_NAMES.index(name)].clone()
-        return info
+        numbers, info = self._layout.names[: self._layout.numbers], {}
+        if set(self._keys) - set(self._layout.names):
+            info[FINAL] = self._observe()
+        for name in self._keys:
+            if name in numbers:
+                info[name] = self._rows["values"][numbers.index(name)].clone()
+            elif name in MARK_NAMES:
+                info[name] = self._rows["marks"][MARK_NAMES.index(name)].clone()
+            elif name != FINAL:
+                info[name] = self._arrays[name].clone()
+        return {name: info[name] for name in self._keys}
 
-    def _restart(self) -> None:
-        b, stream, words = self.num_envs, self._stream, self._rows.views["seed"]
-        launch("pick", b, stream, self._episodes, words, self.core.receivers)
-        for to, past in self._copies:
-            launch("take", b, stream, to, past, self._episodes.picked)
-        sources = self._rows.views["sources"]
-        launch("renew", b, stream, self._episodes, self._receivers.keys, words, sources)
+    def _restart(self) -> Any:
+        """Start new episodes where they are over; what is observed."""
+        launch("pick", self.num_envs, self.device, *self._pick)
+        for pair in self._copies:
+            launch("take", self.num_envs, self.device, *pair, self._episodes.picked)
+        return self._observe()
 
     def _observe(self) -> Any:
-        launch("look", self.num_envs, self._stream, *self._known)
+        launch("look", self.num_envs, self.device, *self._known)
         seen, rows = self._arrays["seen"], self._rows
         for kind, term, part in self._parts:
-            values = self._observe_term(kind, term).to(seen.dtype)
+            values = self._observe_term(kind, term, part).to(seen.dtype)
             clipped = self._torch.maximum(values, rows["low"][part])
             seen[:, part] = self._torch.minimum(clipped, rows["high"][part])
         return seen.clone(memory_format=self._torch.contiguous_format)
 
-    def _observe_term(self, kind: str, term: Any) -> Any:
-        arrays = self._arrays
+    def _observe_term(self, kind: str, term: Any, part: slice) -> Any:
+        arrays, rows, width = self._arrays, self._rows, part.stop - part.start
         if kind == "geometry":
-            return self._rows[kind][arrays["epochs"]]
+            return rows[kind][arrays["epochs"]]
         if kind == "weights":
-            return arrays[kind][:, : self._pool.layout.channels]
+            return arrays[kind][:, :width]
+        if kind == "offsets":
+            scales, span_s = rows["unit_rates"], self.core.setup.attack.span_s
+            moved = arrays["displacement"] / (scales * span_s), arrays["rate"] / scales
+            known = self._torch.cat([*moved, arrays["action_mask"], arrays["taken"]], dim=1)
+            return known[:, :width]
         if kind != "ratio":
             return arrays[kind]
         ratio = arrays["statistic"] / arrays["threshold"]
@@ -325,3 +272,9 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
 
     def close_extras(self, **kwargs: Any) -> None:
         self.core.close()
+
+
+def _flatten(tensor: Any) -> Any:
+    """Receivers first, and all else in one axis."""
+    size = tensor[0].numel() if tensor.ndim > 1 else 1
+    return tensor.as_strided((tensor.shape[0], size), (1, tensor.shape[0]))

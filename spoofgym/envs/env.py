@@ -51,6 +51,14 @@ class HasSpec:
     core: Core
     _spec: EnvSpec | None = None
 
+    def name_spaces(self, core: Core, receivers: int) -> None:
+        """Name the spaces of a vector of so many receivers, and what is in them."""
+        self.observation_names, self.action_names = core.observation_names, core.action_names
+        self.single_observation_space = observation_space(core)
+        self.single_action_space = action_space(core)
+        self.observation_space = batch_space(self.single_observation_space, receivers)
+        self.action_space = batch_space(self.single_action_space, receivers)
+
     @property
     def spec(self) -> EnvSpec | None:
         """What `gymnasium` made it from; ``max_episode_steps`` is the episode's plus one."""
@@ -205,12 +213,8 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
 
     def adopt(self, core: C) -> None:
         self.core, self.num_envs = core, core.receivers
-        self.observation_names, self.action_names = core.observation_names, core.action_names
+        self.name_spaces(core, self.num_envs)
         self._action_shape = (self.num_envs, len(self.action_names))
-        self.single_observation_space = observation_space(core)
-        self.single_action_space = action_space(core)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._keys = info_keys(self.infos, core.info_names)
         self._rngs: list[np.random.Generator] = []
         self._halfway = False

@@ -48,6 +48,11 @@ FIRST_FIX = 4  # satellites that a first fix takes
 AXES = ("north", "east", "down")
 AFTER_ONSET = ("imu", "clock", "gnss", "spoofer", "correlated")  # noise that goes on
 ADVANCE = MEASURE + PREDICT
+TRUTH = "run", "epoch_time", "epoch_end", "satellites", "position_e", "velocity_e"
+TABLED = (
+    *(*TRUTH[:4], "rules", "signals", "mappings", *TRUTH[4:]),
+    *("captured", "slots", "attack_settings"),
+)  # in the order of the kernels' table
 ATTACK_FORMS: dict[type, int] = {
     FalsePosition: _kernels.FALSE_POSITION,
     PerChannel: _kernels.PER_CHANNEL,
@@ -126,7 +131,8 @@ class TightlyCoupledSetup(Setup):
     def _hold_tables(self) -> None:
         """Hold what simulators read: of worlds that have not been built, there may be anything."""
         world = self.world.at_hand
-        self.true_position, self.C_en, self.mappings = world.position_e, world.C_en, np.zeros(0)
+        self.true_position, self.C_en = world.position_e, world.C_en
+        self.mappings = np.zeros((0, world.channels, OBLIQUITIES))
         if self.combinations.with_signals:
             shape = world.channels, OBLIQUITIES
             self.mappings = world.tabulate(
@@ -233,7 +239,7 @@ def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
     return victim
 
 
-def _split_scale(detector: Detector) -> tuple[Detector, float]:
+def split_scale(detector: Detector) -> tuple[Detector, float]:
     if type(detector) is Calibrated and detector.scale is not None and not detector.rescaled:
         return detector.detector, detector.scale
     return detector, 1.0
@@ -291,23 +297,45 @@ class TightlyCoupledSimulator(Simulator):
         return epoch_view(self.buffers, self.augmented.shown if self.augmented else None)
 
     def _hold_arguments(self) -> None:
-        world, receiver = self.setup.world.at_hand, self.setup.receiver
-        buffers, sensors = self.buffers, self.sensors
-        sizes = pad_count(6 * world.most_samples), pad_count(2 * world.channels)
-        rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize, *sizes)
-        self._work_rows = work_rows(world.channels, *sizes)
+        shared, sensors = self.shared_arrays(), self.sensors
+        self.work_rows = work_rows(self.setup.world.channels, *shared["rules"][3:].tolist())
         self._spare: list[FloatArray] = []
-        attack = self.attack
-        truth = world.run, world.epoch_time, world.epoch_end, world.satellites
-        signals = sensors.signals.data, self.setup.mappings
-        more = world.position_e, world.velocity_e, attack.mask, attack.slots, attack.kernel_settings
-        settings = np.array(rules, dtype=np.int64)
-        self._table = kernel_table(buffers, sensors, *truth, settings, *signals, *more)
+        shared["signals"] = sensors.signals.data
+        self._table = kernel_table(self.buffers, sensors, *(shared[name] for name in TABLED))
         self._no_axes, self._no_action = np.zeros(0), _kernels.ONE
         self._history = np.zeros((0, self.receivers), dtype=np.bool_)
         self._no_memories = ArrayTable(_kernels.NOTHING_REMEMBERED)
         self._memories, self._known = self._no_memories, (_kernels.NO_FORM, 0, None, None)
         self._outcomes: set[int] = set()
+
+    def shared_arrays(self) -> dict[str, NDArray[Any]]:
+        """What kernels read that is the same for all receivers, by name."""
+        world, attack, rules = self.setup.world.at_hand, self.attack, self.setup.receiver
+        sizes = pad_count(6 * world.most_samples), pad_count(2 * world.channels)
+        whether = rules.covariance_code, rules.min_satellites, rules.orthonormalize
+        return {
+            **{name: getattr(world, name) for name in TRUTH},
+            "rules": np.array((*whether, *sizes), dtype=np.int64),
+            "mappings": self.setup.mappings,
+            "captured": attack.mask,
+            "slots": attack.slots,
+            "attack_settings": attack.kernel_settings,
+        }
+
+    def lasting_arrays(self) -> dict[str, NDArray[Any]]:
+        """What there is of receivers that have just started, (B, ...) by name."""
+        buffers, sensors, attack = self.buffers, self.sensors, self.attack.memory
+        return {
+            "x": buffers.fields.gather(),
+            "assumed": buffers.assumed.gather(),
+            "sensors": sensors.fields.gather(),
+            "constants": sensors.constants.gather(),
+            "keys": sensors.words.gather(),
+            "epochs": sensors.epoch,
+            "in_run": sensors.in_run.gather(),
+            "signals": sensors.signals.gather(),
+            **{name: attack[name] for name in ("displacement", "rate", "target_error")},
+        }
 
     def _context(self) -> DetectorContext:
         setup = self.setup
@@ -420,7 +448,7 @@ class TightlyCoupledSimulator(Simulator):
         try:
             work = self._spare.pop()
         except IndexError:
-            work = self.buffers.fields.scratch(self._work_rows)
+            work = self.buffers.fields.scratch(self.work_rows)
         found = self.kernel.function(*arrays, work, *rest, lo, hi)
         self._spare.append(work)
         if found:
@@ -548,7 +576,7 @@ class TightlyCoupledSimulator(Simulator):
             arrays[:2] = memory["displacement"], memory["rate"]
             arrays[2:4] = getattr(self.attack, "axes_e", self._no_axes), memory["target_error"]
         if detector in (_kernels.EWMA, _kernels.PASSIVE_EWMA):
-            chart, scale = _split_scale(self.detector)
+            chart, scale = split_scale(self.detector)
             memory, settings = chart.memory, cast("Ewma", chart).kernel_settings
             arrays[4:7] = np.append(settings, scale), memory["average"], memory["decay"]
         if detector != _kernels.NO_FORM:
@@ -561,7 +589,7 @@ class TightlyCoupledSimulator(Simulator):
             shape = (self.receivers, 1) if never else self.buffers.visible.shape
             alarm = np.zeros(shape, dtype=np.bool_)
             weights = np.ones(self.ones.shape) if detector == _kernels.EWMA else None
-            threshold = np.full(shape, _split_scale(self.detector)[1])
+            threshold = np.full(shape, split_scale(self.detector)[1])
             self._verdicts[detector] = Verdict(np.zeros(shape), threshold, alarm, weights)
         return self._verdicts[detector]
 
@@ -634,7 +662,7 @@ class TightlyCoupledSimulator(Simulator):
     def _compiled_detector(self) -> int:
         if self.monitors or self.augmented is not None or "weights" in self.fields:
             return _kernels.NO_FORM
-        detector, _ = _split_scale(self.detector)
+        detector, _ = split_scale(self.detector)
         if type(detector) is Never:
             return _kernels.NEVER
         if type(detector) is not Ewma or detector.limits_exclusions:

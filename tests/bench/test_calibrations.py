@@ -72,12 +72,12 @@ def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
     assert run_campaign(suite, tmp_path / "results", threads=1).runs(label, "none").runs == 4
 
 
-def test_killed_calibrations_and_hold_outs_go_on(tmp_path, monkeypatch):
+def test_killed_calibrations_and_hold_outs_go_on(tmp_path):
     setup, specs = World.of(scenario="zhong2025", timeline=SHORT).setup, ["snapshot-chi2", "cusum"]
     asked = {"false_alarms_per_hour": 20.0, "runs": 40, "threads": 1}
     whole = calibration.calibrate_detectors(setup, specs, **asked, folder=tmp_path / "whole")
     counted = holdouts.hold_out(setup, whole, specs, **asked)
-    played, left, play = [], tmp_path / "own" / "unfinished", clean_runs._play
+    played, left, play = [], tmp_path / "own" / "unfinished", clean_runs.play_batch
 
     def until_killed(*given):
         played.append(given)
@@ -85,8 +85,7 @@ def test_killed_calibrations_and_hold_outs_go_on(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return play(*given)
 
-    monkeypatch.setattr(clean_runs, "_play", until_killed)
-    asked["player"] = partial(ResumablePlayer, chunk=8)
+    asked["player"] = partial(ResumablePlayer, chunk=8, batch=until_killed)
     for function, given, wanted in (
         (calibrate, {**asked, "folder": tmp_path / "again"}, whole),
         (partial(hold_out, calibrations=whole), asked, counted),

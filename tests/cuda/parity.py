@@ -8,11 +8,14 @@ from __future__ import annotations
 import json
 import sys
 import warnings
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import torch
 
+from spoofgym.bench.experiments.calibration import calibrate
 from spoofgym.cuda import CudaVectorEnv
 from spoofgym.detectors.base import YoungMemoryWarning
 from spoofgym.envs.factory import make_core, select_victim
@@ -47,6 +50,7 @@ class Processor:
                 key = threefry(np.uint64(SOURCES.index(name)), np.uint64(0), *word)
                 simulator.sensors.words.put(name, row, np.array([key], dtype=np.uint64))
         self.core.score.reset(rows)
+        self.core._decisions.forget(rows)
         self.core.commands.aim(self.core.heading_rad)
         self.core.set_origin(rows)
 
@@ -59,8 +63,9 @@ def compare(settings: dict[str, Any]) -> dict[str, int]:
         device.reset(seed=5)
         seed = device._rows["seed"].numpy().view(np.uint64)
         cpu = Processor(settings, seed)
-    count = compare_lasting(device._pool.lasting, cpu.pool)
-    same("warmup_alarm", device._pool.lasting["warmup_alarm"], cpu.pool.memory["warmup_alarm"])
+    flight = device._flight.tensors
+    count = compare_lasting(flight, cpu.pool)
+    same("warmup_alarm", flight["alarmed"], cpu.pool.memory["warmup_alarm"])
     every = np.arange(RECEIVERS)
     cpu.start(every)
     same("first observation", device.reset(seed=5)[0], cpu.core.observe())
@@ -86,6 +91,20 @@ def compare(settings: dict[str, Any]) -> dict[str, int]:
     return {"numbers": count, "resets": ends}
 
 
+def compare_calibrations(settings: dict[str, Any], detectors: list[Any]) -> dict[str, int]:
+    """Thresholds of a few clean runs, found on both; what is in their files is equal."""
+    setup = make_core(select_victim("tightly-coupled"), 1, settings).setup
+    found = []
+    with TemporaryDirectory() as folder:
+        for device in ("cpu", "cuda"):
+            home = Path(folder) / device
+            how = {"runs": 4, "false_alarms_per_hour": 1200.0, "folder": home, "device": device}
+            calibrate(setup, detectors, strict=False, **how)
+            found.append({path.name: path.read_text() for path in home.rglob("*.json")})
+    assert found[0] == found[1]
+    return {"calibrations": len(found[0])}
+
+
 def same(name: str, found: torch.Tensor, wanted: np.ndarray) -> None:
     np.testing.assert_array_equal(found.numpy(), wanted, err_msg=name)
 
@@ -107,4 +126,6 @@ def compare_lasting(tensors: Any, simulator: Any) -> int:
 
 if __name__ == "__main__":
     for case in json.loads(sys.argv[1]):
-        print(json.dumps(compare(case)), flush=True)
+        judges = case.pop("calibrated", None)
+        found = compare(case) if judges is None else compare_calibrations(case, judges)
+        print(json.dumps(found), flush=True)

@@ -34,11 +34,11 @@ def list_arguments() -> dict[str, list[Any]]:
     found: dict[str, list[Any]] = {}
     launch = pool.launch
 
-    def note(name: str, receivers: int, stream: Any, *arguments: Any) -> None:
+    def note(name: str, receivers: int, device: Any, *arguments: Any) -> None:
         kinds = [describe(each) for each in arguments]
         if name != "take" or len(kinds[0]) == 3:
             found[f"{name} {json.dumps(kinds)}"] = kinds
-        launch(name, receivers, stream, *arguments)
+        launch(name, receivers, device, *arguments)
 
     pool.launch = vector_env.launch = note
     timeline = {"warmup_s": 0.5, "live_s": 0.5, "attack_s": 1.0, "time_to_alert_s": 0.5}

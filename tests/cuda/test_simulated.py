@@ -32,6 +32,7 @@ def detector(name, **settings):
     return {"name": name, "thresholds": "nominal", **settings}
 
 
+PACE = {"decision_interval_s": 1.0, "between": "linear"}
 LOUD = {"false_alarm": 0.02}  # so that some episodes end at an alarm
 DETECTORS = {
     "never": "never",
@@ -40,17 +41,21 @@ DETECTORS = {
     "shewhart": detector("shewhart", **LOUD, signals="both"),
     "cusum": {"name": "cusum", "threshold_scale": 0.35},
     "snapshot-chi2": detector("snapshot-chi2", **LOUD),
+    "windowed-chi2": detector("windowed-chi2", **LOUD, window=4),
 }
 ATTACKS = {
     "false position": {"target_heading_deg": "random", "observation": [*ORACLE, "statistic-ratio"]},
     "per channel": {"attack": "per-channel"},
+    "offsets": {"control": "rate", "basis": "rotated", "channels": "6 drawn", **PACE},
+    "subset": {"channels": "S0*", **PACE},
 }
 CASES = [
     {**world, "detector": each, **attack}
     for world in WORLDS.values()
     for name, each in DETECTORS.items()
     for attack in ATTACKS.values()
-    if name != "never" or "observation" not in attack
+    if (name != "never" or "observation" not in attack)
+    and (world is not AIRBORNE or attack is not ATTACKS["subset"])  # other satellites in each
 ]
 
 
@@ -62,12 +67,15 @@ def run(module, *arguments, simulated=True):
     return done.stdout.splitlines()
 
 
-def test_a_receiver_has_the_bits_of_the_processor_over_a_reset():
-    case = {**FAST, "detector": DETECTORS["ewma"], **ATTACKS["false position"]}
-    (line,) = run("tests.cuda.parity", json.dumps([case]))
-    found = json.loads(line)
-    assert found["numbers"] > 1000
-    assert found["resets"] > 0
+def test_receivers_have_the_bits_of_the_processor_over_resets_and_clean_runs_its_thresholds():
+    cases = [
+        {**FAST, "detector": DETECTORS["ewma"], **ATTACKS["false position"]},
+        {**FAST, "detector": DETECTORS["windowed-chi2"], **ATTACKS["offsets"]},
+        {**FAST, "detector": "never", "calibrated": ["ewma", "cusum"]},
+    ]
+    *played, calibrated = map(json.loads, run("tests.cuda.parity", json.dumps(cases)))
+    assert all(each["numbers"] > 1000 and each["resets"] > 0 for each in played)
+    assert calibrated == {"calibrations": 2}
 
 
 @pytest.mark.nightly
@@ -139,7 +147,7 @@ def test_too_many_receivers_are_an_error_with_the_largest_number():
         ({"attack": "meaconer"}, "attack 'meaconer'"),
         ({"attack": "quiet"}, "errors of its own"),
         ({"twin": True, "watch": ["cusum"], "epoch": True}, "`watch`, `epoch`, `twin`"),
-        ({"decision_interval_s": 1.0}, "`decision_interval_s`"),
+        ({"attack": {"name": "offsets", "capture": {}}}, "a capture"),
         ({"knowledge": "oracle"}, "observation term EstimateError"),
         ({"end": ["at-alarm", {"name": "at-steps", "steps": 2}]}, "`end`"),
     ],

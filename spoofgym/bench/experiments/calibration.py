@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, ClassVar
 
 from ...calibration import holdouts, thresholds
-from ...calibration.clean_runs import CleanRuns, Numbers, Player, join_runs
+from ...calibration.clean_runs import CHUNK, CleanRuns, Numbers, Player, join_runs
 from ...core.progress import ProgressBar, ProgressCallback
+from ...core.registry import check_choice
 from ...core.settings import compute_digest
 from ...detectors import Calibrated, Detector
 from ...detectors.calibrated import calibrated_parts, describe_identity
@@ -42,12 +43,13 @@ class CleanCells(Experiment):
     def config(self) -> dict[str, Any]:
         """World and detectors; not how many runs, so that more of them go on."""
         player = self.player
-        return {
+        config = {
             "world": player.setup.conditions.digest,
             "detectors": [_identify_detector(each) for each in self.detectors],
             "seeds": [player.entropy, self.split, player.seed_name],
             "in_loop": self.in_loop,
         }
+        return config if player.chunk == CHUNK else {**config, "chunk": player.chunk}
 
     def cells(self) -> Iterator[Cell]:
         chunk = self.player.chunk
@@ -113,9 +115,28 @@ class ResumablePlayer(Player):
         self.folders.clear()
 
 
-calibrate = partial(thresholds.calibrate_detectors, player=ResumablePlayer)
-hold_out = partial(holdouts.hold_out, player=ResumablePlayer)
-transfer = partial(holdouts.transfer, player=ResumablePlayer)
+def _resumable(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that plays clean runs, going on after a kill; with `device` ``"cuda"`` they are
+    played on a GPU, with the same bits."""
+
+    @wraps(function)
+    def play(*given: Any, device: str = "cpu", **settings: Any) -> Any:
+        check_choice("device", device.partition(":")[0], ("cpu", "cuda"))
+        player: Callable[..., Player] = ResumablePlayer
+        if device != "cpu":
+            from ...cuda.pool import TOGETHER, play_batch
+            from ...cuda.supported import import_torch
+
+            import_torch()  # or what is missing
+            player = partial(player, batch=partial(play_batch, device=device), chunk=TOGETHER)
+        return function(*given, **{"player": player, **settings})
+
+    return play
+
+
+calibrate = _resumable(thresholds.calibrate_detectors)
+hold_out = _resumable(holdouts.hold_out)
+transfer = _resumable(holdouts.transfer)
 
 
 def calibrate_players(
