@@ -64,6 +64,7 @@ SMALLER: dict[str, tuple[str | None, str]] = {
         "a quarter of an hour a seed",
     ),
     r"python -m train\.ppo_detector ": ("--steps 400 --runs 19 --seeds 1", "minutes a seed"),
+    r"python -m train\.ppo_cuda ": (None, "needs a GPU; tests/train plays it on the processor"),
     r"python -m train\.spoofers ": (None, "180 trainings; tests/train plays it small"),
     r"python -m tools\.refits ": (None, "hours; tests/tools plays it small"),
     r"python -m tools\.task_cards ": (None, "hours; tests/tools plays it small"),
