@@ -10,17 +10,16 @@ from __future__ import annotations
 import math
 import types
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import config, cuda
+from numba import cuda
 
 from ..core import simd
+from ..core.devices import SIMULATED
 from ..truth import noise
 from ..truth.noise import write_deviates
-
-SIMULATED = bool(config.ENABLE_CUDASIM)
-"""Whether numba's simulator stands for a device: Python for every thread, one after the other."""
 
 
 def _store(array: Any, row: int, value: Any) -> None:
@@ -67,61 +66,56 @@ def on_device(function: Any) -> Any:
     """The same function for one thread; what it calls is replaced likewise."""
     source = getattr(function, "py_func", function)
     if source not in _compiled:
-        copy, fill = _copy(REPLACED.get(source, source))
+        copy = _make_bare(REPLACED.get(source, source))
         inline = bool(getattr(function, "targetoptions", {}).get("forceinline"))
         of_thread = copy if SIMULATED else cuda.jit(copy, device=True, forceinline=inline)
         _compiled[source] = of_thread  # before it is filled, since functions may call each other
-        fill()
+        _fill(copy, REPLACED.get(source, source))
     return _compiled[source]
 
 
+@cache
 def compile_kernel(function: Callable[..., None]) -> Any:
     """A kernel that calls the library's functions as they are for a thread."""
-    forbid_contraction()
-    return cuda.jit(copy_kernel(function))
+    if not SIMULATED:
+        forbid_contraction()
+    copy = _make_bare(function)
+    _fill(copy, function)
+    return cuda.jit(copy)
 
 
-def copy_kernel(function: Callable[..., None]) -> Any:
-    copy, fill = _copy(function)
-    fill()
-    return copy
+def _make_bare(source: Any) -> Any:
+    """A function without globals."""
+    own = {"__name__": source.__module__, "__builtins__": source.__globals__["__builtins__"]}
+    return types.FunctionType(source.__code__, own, source.__name__, source.__defaults__)
 
 
-def _copy(source: Any) -> tuple[Any, Callable[[], None]]:
-    """A function without globals, and what gives it those of a thread."""
+def _fill(copy: Any, source: Any) -> None:
+    """Give a bare function the globals of its source, as they are for a thread."""
     used, known = source.__code__.co_names, source.__globals__
-    own = {"__name__": source.__module__, "__builtins__": known["__builtins__"]}
-
-    def fill() -> None:
-        own.update({name: _replace(known[name], used) for name in used if name in known})
-
-    return types.FunctionType(source.__code__, own, source.__name__, source.__defaults__), fill
+    replaced = {name: _replace(known[name], used) for name in used if name in known}
+    copy.__globals__.update(replaced)
 
 
 def _replace(value: Any, used: tuple[str, ...]) -> Any:
     if isinstance(value, types.ModuleType) and value.__name__.startswith("spoofgym."):
-        part = types.ModuleType(value.__name__)
-        for name in used:
-            if hasattr(value, name):
-                setattr(part, name, _replace(getattr(value, name), ()))
-        return part
+        parts = {name: getattr(value, name) for name in used if hasattr(value, name)}
+        some = types.ModuleType(value.__name__)
+        vars(some).update({name: _replace(part, ()) for name, part in parts.items()})
+        return some
     plain = isinstance(value, types.FunctionType) and value.__module__.startswith("spoofgym.")
     return on_device(value) if plain or hasattr(value, "py_func") else value
 
 
+@cache
 def forbid_contraction() -> None:
     """Let NVVM fuse no multiplication and addition from now on, but where fast math is chosen."""
-    if SIMULATED:
-        return
     from numba.cuda.cudadrv import nvvm
 
     compile_ir = nvvm.compile_ir
-    if hasattr(compile_ir, "contracts"):
-        return
 
     def compile_exactly(llvmir: Any, **options: Any) -> Any:
         exact = {} if options.get("fastmath") else {"fma": False}
         return compile_ir(llvmir, **exact | options)
 
-    compile_exactly.contracts = False  # type: ignore[attr-defined]
     nvvm.compile_ir = compile_exactly

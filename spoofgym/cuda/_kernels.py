@@ -30,16 +30,16 @@ ATTACKED, JUDGED, ALL = 1, 2, 3
 UNSOUND, DIVERGED = 1, 2  # what a thread finds, in `faults`
 
 # What lasts of every receiver:
-# - `x` to `coasting`: of `ReceiverBuffers`, `sensors` to `authentic`: of `SensorBuffers`, of one
+# - `x` to `coasting`: of `ReceiverBuffers`, `sensors` to `signals`: of `SensorBuffers`, of one
 #   receiver each; `displacement` to `residual`: of an attack;
-# - `innovation`, `variance`, `covariance`: views of `out`; `first` to `judged`: memory of the
-#   detector; `statistic` to `weights`: of its verdict;
+# - `covariance` of the innovations: a view of `out`; `first` to `judged`: memory of the detector;
+#   `statistic` to `weights`: of its verdict;
 # - `work`, `spans`, `offset_work`: scratch memory of kernels; `faults` (B,) int64.
 Receivers = namedtuple(
     "Receivers",
     "x assumed out visible coasting sensors constants keys epochs range_offset rate_offset "
-    "authentic in_run signals displacement rate target_error requested taken orders bases residual "
-    "innovation variance covariance first second judged statistic threshold alarm weights work "
+    "in_run signals displacement rate target_error requested taken orders bases residual "
+    "covariance first second judged statistic threshold alarm weights work "
     "spans offset_work faults",
 )
 # What all receivers share: truth and rules as in `Arrays`, then of attack and detector.
@@ -51,8 +51,8 @@ Shared = namedtuple(
 # Episodes, as in `SpoofCore`: `action` and `before` (B, k), the last decisions, of which `now` is
 # made and, by `matrix` (B, a, k), the `command` (B, a); `pace`: epochs of a decision, and whether
 # it is linear between; `sums`: `values` of its earlier epochs; `number` (B,) of the episode;
-# `motion` (B, 6), `time` (B, 2), offsets (B, S) and `coming` (B, a) are observed where they have
-# rows.
+# `motion` (B, 6), `time` (B, 2), and, where they have rows, offsets (B, S) and `action_mask` (B, a)
+# are observed.
 Episodes = namedtuple(
     "Episodes",
     "action before now command matrix following pace onset direction origin warmup_alarm "
@@ -64,7 +64,9 @@ Episodes = namedtuple(
 def judge(r, t, w, b, detector):
     """Judge an epoch of receiver b, and write what its verdict is."""
     e, n, s = b + 1, r.visible.shape[1], t.settings
-    innovation, variance, visible = r.innovation[b:e], r.variance[b:e], r.visible[b:e]
+    visible, at = r.visible[b:e], t.places
+    innovation = r.out[b:e, at[0] : at[0] + 2 * n]
+    variance = r.out[b:e, at[1] : at[1] + 2 * n]
     statistic, threshold, weights = r.statistic[b:e], r.threshold[b:e], r.weights[b:e]
     first, last, seen = int(s[4]), int(s[5]), 0
     for j in range(n):
@@ -109,17 +111,14 @@ def name_offsets(r, b):
     return Capturing(*known), divide_offsets(work, *sizes, work[work.shape[0] - 1])
 
 
-def name_truth(t):
-    return EpochTruth(t.epoch_time, t.satellites, t.position_e, t.velocity_e)
-
-
 def move_attack(r, t, w, b, command, hold, attack):
     """Let the attack write what it adds to the coming epoch of receiver b."""
     e = b + 1
     offsets = r.range_offset[b:e], r.rate_offset[b:e]
     moved = r.displacement[b:e], r.rate[b:e]
     commanded, epochs = Commanded(command, hold, t.attack_settings, *moved), r.epochs[b:e]
-    truth, error = name_truth(t), r.target_error[b:e]
+    truth = EpochTruth(t.epoch_time, t.satellites, t.position_e, t.velocity_e)
+    error = r.target_error[b:e]
     if attack == FALSE_POSITION:
         rest = epochs, truth, t.captured, *offsets, 0, w.solution[8:14], w.solution[:8]
         displace_antenna(commanded, t.axes_e, error, *rest)
@@ -136,7 +135,8 @@ def run_receiver(r, t, b, command, hold, attack, detector, what):
     assumed, constants = r.assumed[b % r.assumed.shape[0]], r.constants[b % r.constants.shape[0]]
     shown = assumed, r.out[b], t.places, r.visible[b:e], r.coasting[b:e]
     measured = r.sensors[b], constants, r.keys[b], r.epochs[b:e]
-    added = r.range_offset[b:e], r.rate_offset[b:e], r.authentic[b:e], r.in_run[b]
+    authentic = r.out[:0, : r.weights.shape[1]]  # all of them
+    added = r.range_offset[b:e], r.rate_offset[b:e], authentic, r.in_run[b]
     known = t.run, t.epoch_time, t.epoch_end, t.satellites, t.rules, r.signals[b], t.mappings
     a = receiver.Arrays(r.x[b], *shown, *measured, *added, *known)
     w = receiver.divide_scratch(a, r.work[b], r.spans[b])
@@ -159,9 +159,7 @@ def age(r, t, alarmed, ratio, left, count, detector, what):
     """Run clean epochs of those receivers that have some `left` (B,), at most `count`; `alarmed`,
     `ratio` (B,): alarms, and the largest ratio of statistic to threshold, so far."""
     b = cuda.grid(1)
-    if b >= r.epochs.shape[0]:
-        return
-    for _ in range(min(count, left[b])):
+    for _ in range(min(count, left[b]) if b < left.shape[0] else 0):
         if run_receiver(r, t, b, r.displacement[b : b + 1], True, 0, detector, what):
             alarmed[b] = True
         for c in range(r.statistic.shape[1] if what & JUDGED else 0):
@@ -209,10 +207,7 @@ def add_earlier(values, sums, b):
 
 def play_epoch(r, t, p, b, attack, detector):
     """An epoch of receiver b, as `envs._kernels.play_epoch` runs it, and its time to alert."""
-    e = b + 1
-    place = r.out[b:e, 2:5]
-    steps, count = int(p.rules[envs.STEPS]), 1 + int(p.rules[envs.HOLD])
-    first, held = 0, False
+    e, count, first, held = b + 1, 1 + int(p.rules[envs.HOLD]), 0, False
     for k in range(count):
         if k > 0 and not held:
             break
@@ -222,12 +217,12 @@ def play_epoch(r, t, p, b, attack, detector):
             continue
         aim = r.epochs[b:e], p.direction[b:e], p.rules[envs.WORST] > 0.0, p.origin[b:e]
         out = p.values[envs.DISPLACEMENT, b:e]
-        displace(place, t.position_e, r.epochs[b:e], t.C_en, *aim, out, 0, 1)
+        displace(r.out[b:e, 2:5], t.position_e, r.epochs[b:e], t.C_en, *aim, out, 0, 1)
         progress = p.step_count, p.detected, p.ended, p.undetected, p.largest
         held = envs.score(r.alarm, p.no_rows, p.rules, *progress, p.values, p.marks, b, e)
     if held:
         so_far = p.step_count, p.detected, p.undetected, p.largest
-        envs.score_late(first, b, count - 1, steps, *so_far, p.values, p.marks)
+        envs.score_late(first, b, count - 1, int(p.rules[envs.STEPS]), *so_far, p.values, p.marks)
     progress = p.detected, p.ended, p.undetected, p.no_rows, p.warmup_alarm, r.coasting, r.epochs
     envs.settle(p.rules, *progress, p.values, p.marks, b, e)
 
@@ -240,14 +235,13 @@ def look(r, t, p):
     e = b + 1
     now = r.epochs, r.displacement, r.rate, p.direction
     envs.observe(p.rules, p.per_rate, p.table, *now, p.seen, b, e)
-    if p.time.shape[0] > 0:
-        envs.time_fractions(r.epochs[b:e], p.onset[b:e], p.rules[envs.STEPS], p.time[b:e])
-    if p.motion.shape[0] > 0:
-        known = t.position_e, t.velocity_e, t.C_en, r.epochs[b:e], p.onset[b:e]
-        local_motion(*known, p.scales[0], p.scales[1], p.motion[b:e])
+    envs.time_fractions(r.epochs[b:e], p.onset[b:e], p.rules[envs.STEPS], p.time[b:e])
+    motion = t.position_e, t.velocity_e, t.C_en, r.epochs[b:e], p.onset[b:e]
+    local_motion(*motion, p.scales[0], p.scales[1], p.motion[b:e])
     if p.action_mask.shape[0] > 0:
         capturing, w = name_offsets(r, b)
-        rest = t.axes_e, r.target_error[b:e], r.epochs[b:e], name_truth(t)
+        truth = EpochTruth(t.epoch_time, t.satellites, t.position_e, t.velocity_e)
+        rest = t.axes_e, r.target_error[b:e], r.epochs[b:e], truth
         known, coming = (t.attack_settings, capturing, *rest), p.action_mask[b:e]
         list_axes(r.displacement[b:e], *known, p.offsets_m[b:e], coming, 0, w)
         list_axes(r.requested[b:e], *known, p.requested_offsets_m[b:e], coming, 0, w)

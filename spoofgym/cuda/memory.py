@@ -13,15 +13,12 @@ import numpy as np
 from numba import cuda
 from numpy.typing import NDArray
 
-from ..attacks._offset_kernels import scratch_shape
+from ..core.devices import SIMULATED
 from ..detectors.charts import Ewma, Shewhart
 from ..detectors.chi_square import SnapshotChi2, WindowedChi2
 from ..detectors.controls import Never
 from ..detectors.cusum import Cusum
-from ..receiver.epoch import ReceiverBuffers
-from ..simulation.tight import ATTACK_FORMS, TightlyCoupledSimulator, split_scale
 from . import _kernels
-from ._compile import SIMULATED
 
 Arrays = dict[str, NDArray[Any]]
 DETECTORS: dict[type[Any], tuple[int, tuple[str, ...], Callable[[Any], Iterable[float]]]] = {
@@ -39,6 +36,8 @@ DETECTORS: dict[type[Any], tuple[int, tuple[str, ...], Callable[[Any], Iterable[
 """Number of a detector in kernels, what it remembers by name, and its first settings."""
 ALIKE = "assumed", "constants"
 """What is one for all receivers where all are alike."""
+SCRATCH = "work", "spans", "offset_work", "faults", "alarmed", "ratio", "left"
+"""What does not last, or is of a flight without an attack."""
 OF_OFFSETS = dict(requested=float, taken=bool, orders=int, bases=int, residual=float)
 """What an attack by offsets remembers, beside what all do."""
 
@@ -104,87 +103,3 @@ class Tensors:
 def _make_zeros(like: Any, receivers: int) -> Any:
     zeros = like.new_zeros((*reversed(like.shape[1:]), receivers))
     return zeros.permute(tuple(reversed(range(like.ndim))))
-
-
-class Layout:
-    """What kernels need to know of a simulator: `attack` and `detector` by number, `places` in what
-    is shown of an epoch, and sizes."""
-
-    def __init__(self, simulator: TightlyCoupledSimulator) -> None:
-        self._simulator, attack = simulator, simulator.attack
-        self.attack = ATTACK_FORMS.get(type(attack), _kernels.OFFSETS)
-        inner, scale = split_scale(simulator.detector)
-        self.detector, self._remembered, settings = DETECTORS[type(inner)]
-        if isinstance(inner, Ewma) and inner.weight_scale is None:
-            self.detector = _kernels.PASSIVE_EWMA
-        n = self.channels = simulator.setup.world.channels
-        first = (*settings(inner), 0.0, 0.0, 0.0)[:3]
-        self.settings = np.array([*first, scale, *getattr(inner, "_rows", (0, n))], dtype=float)
-        self.limits = np.asarray(getattr(inner, "_thresholds", np.zeros(1)), dtype=float)
-        whole = inner.scope == "receiver" or self.detector == _kernels.NEVER
-        self.columns = 1 if whole else n
-        wanted = ("innovation_cov",) if self.detector >= _kernels.SNAPSHOT else ()
-        one = ReceiverBuffers(1, n, wanted)
-        self.places, self.shown = one.places.astype(np.int64), len(one.seen_floats)
-        self._offset_work: tuple[int, int] = 1, 1
-        if self.attack == _kernels.OFFSETS:
-            shapes = (attack.memory[name].shape[1] for name in ("displacement", "bases"))
-            self._offset_work = scratch_shape(n, *shapes)
-
-    def share(self, torch: Any, device: Any) -> Tensors:
-        """What all receivers read, in C order."""
-        simulator = self._simulator
-        shared = {
-            **simulator.shared_arrays(),
-            "C_en": simulator.setup.C_en,
-            "axes_e": getattr(simulator.attack, "axes_e", np.zeros((1, 1, 6))),
-            "places": self.places,
-            "settings": self.settings,
-            "limits": self.limits,
-        }
-        return Tensors(torch, shared, device, shared=True)
-
-    def gather(self) -> Arrays:
-        """All that lasts of receivers that have just started, as (M, ...) arrays."""
-        simulator, m, n = self._simulator, self._simulator.receivers, self.channels
-        attack, judge = simulator.attack.memory, split_scale(simulator.detector)[0].memory
-        known, nothing = [judge[name] for name in self._remembered], np.zeros((m, 0))
-        first, second, *_ = (np.asarray(x, dtype=float) for x in (*known, nothing, nothing))
-        return {
-            **simulator.lasting_arrays(),
-            **{name: attack.get(name, nothing.astype(t)) for name, t in OF_OFFSETS.items()},
-            "first": first,
-            "second": second,
-            "judged": judge.get("seen", np.zeros(m, dtype=np.int64)),
-            "out": np.zeros((m, self.shown)),
-            "range_offset": np.zeros((m, n)),
-            "rate_offset": np.zeros((m, n)),
-            "visible": np.zeros((m, n), dtype=np.bool_),
-            "coasting": np.zeros(m, dtype=np.bool_),
-            "statistic": np.zeros((m, self.columns)),
-            "threshold": np.full((m, self.columns), self.settings[3]),
-            "alarm": np.zeros((m, self.columns), dtype=np.bool_),
-            "weights": np.ones((m, 2 * n)),
-        }
-
-    def scratch(self, receivers: int) -> Arrays:
-        return {
-            "work": np.zeros((receivers, self._simulator.work_rows)),
-            "spans": np.zeros((receivers, 4, 1), dtype=np.int64),
-            "offset_work": np.zeros((receivers, *self._offset_work)),
-            "faults": np.zeros(receivers, dtype=np.int64),
-        }
-
-    def name_receivers(self, lasting: Tensors) -> Any:
-        """`Receivers` of kernels, with views of what is shown of an epoch."""
-        views, out, m = lasting.views, lasting["out"], 2 * self.channels
-        receivers = out.shape[0]
-        for name, place in zip(("innovation", "variance"), self.places[:2].tolist(), strict=True):
-            views[name] = view_for_kernels(out[:, place : place + m])
-        place = max(int(self.places[2]), 0)
-        size = m if self.places[2] >= 0 else 0
-        strides = 1, m * receivers, receivers
-        part = out.as_strided((receivers, size, size), strides, place * receivers)
-        views["covariance"] = view_for_kernels(part)
-        views["authentic"] = view_for_kernels(out[:0, :m])
-        return lasting.name_views(_kernels.Receivers)

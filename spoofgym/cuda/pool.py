@@ -1,41 +1,28 @@
-"""Receivers that are begun on the processor, and run by kernels: pasts, and clean runs."""
+"""Receivers that are begun on the processor, and run by kernels: the pasts of a pool."""
 
 from __future__ import annotations
 
-import copy
 import threading
-from collections.abc import Sequence
-from functools import cache
 from typing import Any, cast
 
 import numpy as np
 from numba import cuda
-from numpy.typing import NDArray
 
-from ..calibration.clean_runs import CleanRuns, check_stopped
-from ..detectors import Detector
+from ..attacks._offset_kernels import scratch_shape
+from ..calibration.clean_runs import check_stopped
+from ..core.devices import SIMULATED, import_torch
+from ..detectors.charts import Ewma
 from ..envs.core import SpoofCore
+from ..receiver.epoch import ReceiverBuffers
 from ..simulation.engine import seed_pasts
-from ..simulation.setup import Setup
-from ..simulation.simulator import FilterDiverged, run_serially
-from ..simulation.tight import TightlyCoupledSimulator
+from ..simulation.simulator import FilterDiverged
+from ..simulation.tight import ATTACK_FORMS, TightlyCoupledSimulator, split_scale
 from . import _kernels
-from ._compile import SIMULATED, compile_kernel
-from .memory import Arrays, Layout, Tensors
-from .supported import check_receivers, import_torch
+from ._compile import compile_kernel
+from .memory import DETECTORS, OF_OFFSETS, Arrays, Tensors, view_for_kernels
 
 THREADS = 64  # of a block
 PIECE = 8  # epochs of a launch, so that a desktop's watchdog lets it end
-TOGETHER = 16_384
-"""Clean runs that are played side by side."""
-Maxima = tuple[NDArray[np.float64], NDArray[np.bool_]]
-"""Largest ratio (M,) of statistic to threshold in some epochs, and whether there was an alarm."""
-_one_at_a_time = threading.Lock()
-
-
-@cache
-def get_kernel(name: str) -> Any:
-    return compile_kernel(getattr(_kernels, name))
 
 
 def launch(name: str, receivers: int, device: Any, *arguments: Any) -> None:
@@ -45,7 +32,7 @@ def launch(name: str, receivers: int, device: Any, *arguments: Any) -> None:
     if not SIMULATED:
         threads, current = THREADS, import_torch().cuda.current_stream(device)
         stream = cuda.external_stream(current.cuda_stream)
-    get_kernel(name)[-(-receivers // threads), threads, stream](*arguments)
+    compile_kernel(getattr(_kernels, name))[-(-receivers // threads), threads, stream](*arguments)
 
 
 def raise_faults(faults: Any) -> None:
@@ -59,28 +46,84 @@ def raise_faults(faults: Any) -> None:
 
 
 class Flight:
-    """M receivers without an attack, as a simulator has begun them. `tensors`: all that there is of
-    them by name, of which `gathered` lasts; `shared`: what all read."""
+    """M receivers without an attack, as a simulator has begun them.
+
+    `attack`, `detector`: which they have, by number; `tensors`: all that there is of receivers, by
+    name; `shared`: what all read, as kernels take it.
+    """
 
     def __init__(self, torch: Any, simulator: TightlyCoupledSimulator, device: Any) -> None:
-        self.layout, self._device, m = Layout(simulator), device, simulator.receivers
-        self.shared = self.layout.share(torch, device)
-        self.gathered = self.layout.gather()
-        found = {"alarmed": np.zeros(m, bool), "ratio": np.zeros(m), "left": np.zeros(m, int)}
-        arrays = self.gathered | self.layout.scratch(m) | found
+        self._device, self._phases = device, (simulator.setup.filter_only, simulator.ages)
+        m, n, attack = simulator.receivers, simulator.setup.world.channels, simulator.attack
+        self.attack = ATTACK_FORMS.get(type(attack), _kernels.OFFSETS)
+        inner, scale = split_scale(simulator.detector)
+        self.detector, remembered, settings = DETECTORS[type(inner)]
+        whole = inner.scope == "receiver" or self.detector == _kernels.NEVER
+        if isinstance(inner, Ewma) and inner.weight_scale is None:
+            self.detector = _kernels.PASSIVE_EWMA
+        wanted = ("innovation_cov",) if self.detector >= _kernels.SNAPSHOT else ()
+        one = ReceiverBuffers(1, n, wanted)
+        self._places, first = one.places.astype(np.int64), (*settings(inner), 0.0, 0.0, 0.0)[:3]
+        rules = np.array([*first, scale, *getattr(inner, "_rows", (0, n))], dtype=float)
+        shared = {
+            **simulator.shared_arrays(),
+            "C_en": simulator.setup.C_en,
+            "axes_e": getattr(attack, "axes_e", np.zeros((1, 1, 6))),
+            "places": self._places,
+            "settings": rules,
+            "limits": np.asarray(getattr(inner, "_thresholds", np.zeros(1)), dtype=float),
+        }
+        self.shared = Tensors(torch, shared, device, shared=True).name_views(_kernels.Shared)
+        nothing, columns, sizes = np.zeros((m, 0)), 1 if whole else n, (1, 1)
+        known = [np.asarray(inner.memory[name], dtype=float) for name in remembered]
+        if self.attack == _kernels.OFFSETS:
+            shapes = (attack.memory[name].shape[1] for name in ("displacement", "bases"))
+            sizes = scratch_shape(n, *shapes)
+        arrays: Arrays = {
+            **simulator.lasting_arrays(),
+            **{name: attack.memory.get(name, nothing.astype(t)) for name, t in OF_OFFSETS.items()},
+            **dict(zip(("first", "second"), (*known, nothing, nothing), strict=False)),
+            "judged": inner.memory.get("seen", np.zeros(m, dtype=np.int64)),
+            "out": np.zeros((m, len(one.seen_floats))),
+            **dict.fromkeys(("range_offset", "rate_offset"), np.zeros((m, n))),
+            "visible": np.zeros((m, n), dtype=np.bool_),
+            **dict.fromkeys(("coasting", "alarmed"), np.zeros(m, dtype=np.bool_)),
+            "statistic": np.zeros((m, columns)),
+            "threshold": np.full((m, columns), scale),
+            "alarm": np.zeros((m, columns), dtype=np.bool_),
+            "weights": np.ones((m, 2 * n)),
+            "ratio": np.zeros(m),
+            "work": np.zeros((m, simulator.work_rows)),
+            "spans": np.zeros((m, 4, 1), dtype=np.int64),
+            "offset_work": np.zeros((m, *sizes)),
+            **dict.fromkeys(("faults", "left"), np.zeros(m, dtype=np.int64)),
+        }
         self.tensors = Tensors(torch, arrays, device)
-        receivers = self.layout.name_receivers(self.tensors)
-        views = (self.tensors.views[name] for name in found)
-        self._known = receivers, self.shared.name_views(_kernels.Shared), *views
-        self._phases = simulator.setup.filter_only, simulator.ages - simulator.setup.filter_only
+        views = (self.tensors.views[name] for name in ("alarmed", "ratio", "left"))
+        self._known = self.name_receivers(self.tensors), self.shared, *views
 
-    def warm_up(self, stopped: threading.Event | None = None) -> Maxima:
-        """Run all to their onsets, the last epochs with the detector, which `Maxima` are of."""
-        self.run(self._phases[0], 0, stopped)
-        return self.run(self._phases[1], _kernels.JUDGED, stopped)
+    def name_receivers(self, tensors: Tensors) -> Any:
+        """`Receivers` of kernels, with a view of the innovations' covariance where it is shown."""
+        out, m = tensors["out"], 2 * tensors["visible"].shape[1]
+        place, receivers = max(int(self._places[2]), 0), len(out)
+        size = m if self._places[2] >= 0 else 0
+        strides = 1, m * receivers, receivers
+        part = out.as_strided((receivers, size, size), strides, place * receivers)
+        tensors.views["covariance"] = view_for_kernels(part)
+        return tensors.name_views(_kernels.Receivers)
 
-    def run(self, epochs: Any, what: int, stopped: threading.Event | None = None) -> Maxima:
-        """Run `epochs` of each receiver."""
+    def warm_up(self, stopped: threading.Event | None = None) -> tuple[Any, Any]:
+        """Run all to their onsets, the last epochs with the detector, which what `run` returns is
+        of."""
+        settling, whole = self._phases
+        self.run(settling, stopped, 0)
+        return self.run(whole - settling, stopped)
+
+    def run(
+        self, epochs: Any, stopped: threading.Event | None = None, what: int = _kernels.JUDGED
+    ) -> tuple[Any, Any]:
+        """Run `epochs` of each receiver: (M,) the largest ratio of statistic to threshold, and
+        whether there was an alarm."""
         tensors, m = self.tensors, len(self.tensors["left"])
         left = np.broadcast_to(np.asarray(epochs, dtype=np.int64), m).copy()
         tensors["left"].copy_(import_torch().from_numpy(left))
@@ -88,13 +131,13 @@ class Flight:
         tensors["ratio"].zero_()
         for _ in range(-(-int(left.max()) // PIECE)):
             check_stopped(stopped)
-            launch("age", m, self._device, *self._known, PIECE, self.layout.detector, what)
+            launch("age", m, self._device, *self._known, PIECE, self.detector, what)
         raise_faults(tensors["faults"])
         return tensors["ratio"].cpu().numpy().copy(), tensors["alarmed"].cpu().numpy().copy()
 
 
-def start_pasts(torch: Any, core: SpoofCore, device: Any) -> tuple[Flight, Tensors]:
-    """As many receivers at their onset as a core has, and what belongs to their episodes."""
+def start_pasts(torch: Any, core: SpoofCore, device: Any) -> Flight:
+    """As many receivers at their onset as a core has, with what belongs to their episodes."""
     simulator = cast(TightlyCoupledSimulator, core.engine.simulator)
     simulator.start_episodes(seed_pasts(np.arange(core.receivers)))
     flight = Flight(torch, simulator, device)
@@ -111,30 +154,5 @@ def start_pasts(torch: Any, core: SpoofCore, device: Any) -> tuple[Flight, Tenso
         "origin": simulator.origin_ne(),
         "warmup_alarm": tensors["alarmed"].cpu().numpy(),
     }
-    return flight, Tensors(torch, episodes, device)
-
-
-def play_batch(
-    setup: Setup,
-    detectors: Sequence[Detector],
-    in_loop: bool,
-    rngs: Sequence[np.random.Generator],
-    stopped: threading.Event | None,
-    *,
-    device: str = "cuda",
-) -> CleanRuns:
-    """Play clean runs on a device, of one detector after the other, as `Player` does."""
-    torch, found = import_torch(), []
-    for detector in detectors:
-        judged = setup.copy_with(detector=detector, monitors=())
-        check_receivers(judged)
-        simulator = cast(TightlyCoupledSimulator, judged.simulator(len(rngs), run_serially))
-        simulator.start_episodes(copy.deepcopy(rngs))
-        with _one_at_a_time, torch.no_grad():
-            flight = Flight(torch, simulator, torch.device("cpu" if SIMULATED else device))
-            before = flight.warm_up(stopped)
-            window = flight.run(setup.steps + setup.hold, _kernels.JUDGED, stopped)
-        found.append((before[0], window[0], before[1], window[1]))
-    columns = [np.stack(each, axis=1) for each in zip(*found, strict=True)]
-    age_s = np.asarray(simulator.ages * setup.interval_s, dtype=np.float64)
-    return CleanRuns._make((*columns, simulator.onset // setup.epochs_each, age_s))
+    flight.tensors |= Tensors(torch, episodes, device)
+    return flight

@@ -1,14 +1,13 @@
-"""What is there on a device: drivers, and which settings of an environment."""
+"""Which settings of an environment there are on a device."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..attacks.commands import FalsePosition, PerChannel
 from ..attacks.offsets import Offsets
-from ..core.extras import name_extra
+from ..core.devices import import_torch
 from ..detectors.calibrated import Calibrated
 from ..detectors.charts import Ewma, Shewhart
 from ..envs.core import SpoofCore
@@ -17,46 +16,28 @@ from ..simulation.setup import Setup
 from ..simulation.tight import TightlyCoupledSetup, split_scale
 from .memory import DETECTORS
 
-LEAST_CUDA = (13, 0)
-TERMS: dict[type[Any], str] = {
-    seen.OwnOffsets: "offsets",
-    seen.Time: "time",
-    seen.TargetMotion: "motion",
-    seen.TargetDirection: "direction",
-    seen.SatelliteGeometry: "geometry",
-    seen.GainWeight: "weights",
-    seen.StatisticRatio: "ratio",
+
+def _see_offsets(arrays: Any, rows: Any, term: Any) -> Any:
+    moved = arrays["displacement"] / rows["unit_offsets"], arrays["rate"] / rows["unit_rates"]
+    return import_torch().cat([*moved, arrays["action_mask"], arrays["taken"]], dim=1)
+
+
+def _see_ratio(arrays: Any, rows: Any, term: Any) -> Any:
+    ratio = arrays["statistic"] / arrays["threshold"]
+    return ratio.amax(dim=1, keepdim=True) if term.largest else ratio
+
+
+TERMS: dict[type[Any], Callable[[Any, Any, Any], Any]] = {
+    seen.OwnOffsets: _see_offsets,
+    seen.Time: lambda arrays, rows, term: arrays["time"],
+    seen.TargetMotion: lambda arrays, rows, term: arrays["motion"],
+    seen.TargetDirection: lambda arrays, rows, term: arrays["direction"],
+    seen.SatelliteGeometry: lambda arrays, rows, term: rows["geometry"][arrays["epochs"]],
+    seen.GainWeight: lambda arrays, rows, term: arrays["weights"],
+    seen.StatisticRatio: _see_ratio,
 }
-"""Observation terms that depend on what has happened, by what is observed."""
-
-
-def import_torch() -> Any:
-    """PyTorch, once numba's compiler for devices and a driver are there too; else an error."""
-    try:
-        import torch
-
-        from ._compile import SIMULATED
-
-        if not SIMULATED:
-            import numba_cuda  # type: ignore[import-not-found]  # noqa: F401
-    except ImportError as error:
-        raise name_extra("device='cuda'", error, "cuda") from error
-    if not SIMULATED:
-        from numba import cuda
-
-        check_driver(cuda)
-    return torch
-
-
-def check_driver(cuda: Any) -> None:
-    if not cuda.is_available():
-        raise RuntimeError("device='cuda' needs an NVIDIA driver and a GPU, and finds none")
-    found = tuple(cuda.cudadrv.driver.driver.get_version())
-    if found < LEAST_CUDA:
-        raise RuntimeError(
-            f"device='cuda' needs a driver of CUDA {LEAST_CUDA[0]} (580 or newer), and finds one "
-            f"of CUDA {'.'.join(map(str, found))}"
-        )
+"""Observation terms that depend on what has happened, as tensors (B, k) whose first columns are
+observed; of tensors of the receivers and of what they share."""
 
 
 def check_receivers(setup: Setup) -> None:
@@ -103,13 +84,3 @@ def check_supported(core: SpoofCore) -> None:
 def _refuse(found: Mapping[str, Any]) -> None:
     if lacking := [what for what, there in found.items() if there]:
         raise ValueError(f"device='cuda' does not have {', '.join(lacking)}")
-
-
-def check_free_memory(receivers: int, each: int, free: int) -> None:
-    """Raise a ValueError where receivers of `each` bytes need more than is `free` on a device."""
-    most = math.floor(0.95 * free / each)
-    if receivers > most:
-        raise ValueError(
-            f"{receivers} receivers need {receivers * each / 2**30:.1f} GiB, and the device has "
-            f"{free / 2**30:.1f} GiB free: at most {most}"
-        )

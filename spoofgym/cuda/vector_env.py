@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
+from ..attacks.offsets import Offsets
+from ..core.devices import SIMULATED, check_free_memory, import_torch
 from ..core.registry import check_choice, whole_number
 from ..envs._kernels import REWARD, TERMINATED
 from ..envs.core import SpoofCore
@@ -22,13 +24,13 @@ from ..envs.options import (
     parse_autoreset_mode,
 )
 from ..envs.scoring import MARK_NAMES, MARKS
+from ..envs.terms.observation import SatelliteGeometry, TargetMotion
 from ..simulation.tight import AFTER_ONSET
 from ..truth.sensors import SOURCES
 from . import _kernels
-from ._compile import SIMULATED
-from .memory import Arrays, Tensors, view_for_kernels
+from .memory import SCRATCH, Arrays, Tensors, view_for_kernels
 from .pool import launch, raise_faults, start_pasts
-from .supported import TERMS, check_free_memory, check_supported, import_torch
+from .supported import TERMS, check_supported
 
 PASTS = 16_384
 FINAL = "final_obs"
@@ -91,9 +93,13 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         settings = {**settings, "warm_pool": 0}
         core = make_core(select_victim(victim), pasts, settings, whose=f"victim {victim!r}")
         check_supported(core)
-        self.core, self._layout = core, core._fused.layout
+        self.core, self._names, self._reports = (
+            core,
+            core._fused.layout.names,
+            core.setup.attack.reports,
+        )
         self.name_spaces(core, num_envs)
-        names = *self._layout.names, *core.setup.attack.reports, FINAL
+        names = *self._names, *self._reports, FINAL
         keys = info_keys(infos, names)
         self._keys = names if keys is None else tuple(key for key in names if key in keys)
         with torch.no_grad():
@@ -102,16 +108,16 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
 
     def _allocate(self) -> None:
         torch, core, b, device = self._torch, self.core, self.num_envs, self.device
-        setup, attack, rows = core.setup, core.setup.attack, self._layout.numbers + 3
-        flight, episodes = start_pasts(torch, core, device)
-        pasts, self._flight = flight.tensors | episodes, flight
+        setup, attack, rows = core.setup, core.setup.attack, core._fused.layout.numbers + 3
+        self._flight = flight = start_pasts(torch, core, device)
+        pasts = flight.tensors
         if device.type != "cpu":
             each = pasts.bytes_each + 8 * (setup.steps + 1 + 2 * rows)
             check_free_memory(b, each, torch.cuda.mem_get_info(device)[0])
-        self._parts = [(TERMS[type(term)], term, part) for term, part in core.observer._parts]
-        terms: dict[str, Any] = {kind: term for kind, term, _ in self._parts}
-        motion, reported = terms.get("motion"), b if attack.reports else 0
+        terms = {type(term): term for term, _ in core.observer._parts}
+        motion: Any = terms.get(TargetMotion, TargetMotion())
         axes, decided = len(setup.action_names), len(self.action_names)
+        reported = b if self._reports else 0
         offsets = np.zeros((reported, pasts["orders"].shape[1]))
         own: Arrays = {
             **dict.fromkeys(("action", "before", "now"), np.zeros((b, decided))),
@@ -121,47 +127,47 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
             "action_mask": np.zeros((reported, axes), dtype=np.bool_),
             "command": np.zeros((b, axes)),
             "seen": np.zeros((b, len(core.observation_names)), dtype=np.float32),
-            "motion": np.zeros((b if motion else 0, 6), dtype=np.float32),
-            "time": np.zeros((b if "time" in terms else 0, 2), dtype=np.float32),
+            "motion": np.zeros((b, 6), dtype=np.float32),
+            "time": np.zeros((b, 2), dtype=np.float32),
             "undetected": np.zeros(b),
         }
         self._arrays = pasts.resize(b) | Tensors(torch, own, device)
         _, rules, per_rate, table = core._fused._fixed
-        scales = (motion.position_scale_m, motion.velocity_scale_mps) if motion else (1.0, 1.0)
         shared = {
             "largest": np.zeros((setup.steps + 1, b)),
-            "values": np.zeros((rows, b)),
-            "sums": np.zeros((rows, b)),
+            **dict.fromkeys(("values", "sums"), np.zeros((rows, b))),
             "marks": np.zeros((MARKS, b), dtype=np.bool_),
             "rules": rules,
             "per_rate": np.asarray(per_rate, dtype=np.float64),
             "table": table,
             "following": core.commands._rules,
             "pace": np.array([setup.repeat, setup.between == "linear"], dtype=np.int64),
-            "scales": 1.0 / np.array(scales),
+            "scales": 1.0 / np.array([motion.position_scale_m, motion.velocity_scale_mps]),
             "seed": np.zeros(2, dtype=np.uint64),
             "sources": np.array([SOURCES.index(name) for name in AFTER_ONSET]),
             "low": core.bounds[0],
             "high": core.bounds[1],
         }
-        if "geometry" in terms:
+        if SatelliteGeometry in terms:
             shared["geometry"] = np.asarray(setup.geometry_table(), dtype=np.float32)
-        if "offsets" in terms:
+        if isinstance(attack, Offsets):
             shared["unit_rates"] = attack.unit_rates(setup.world)
+            shared["unit_offsets"] = shared["unit_rates"] * attack.span_s
         self._rows = Tensors(torch, shared, device, shared=True)
-        receivers = flight.layout.name_receivers(self._arrays)
+        told = *self._rows["values"][: rows - 3], *self._rows["marks"][: len(MARK_NAMES)]
+        self._told = dict(zip(self._names, told, strict=True))
+        self._told |= {name: self._arrays[name] for name in self._reports}
+        receivers = flight.name_receivers(self._arrays)
         views = self._arrays.views | self._rows.views
         self._episodes = _kernels.Episodes(*(views[name] for name in _kernels.Episodes._fields))
-        self._known = receivers, flight.shared.name_views(_kernels.Shared), self._episodes
-        words = views["seed"], views["sources"]
-        self._pick = self._episodes, receivers.keys, pasts.views["keys"], *words
+        self._known = receivers, flight.shared, self._episodes
+        keys = receivers.keys, pasts.views["keys"]
+        self._pick = self._episodes, *keys, views["seed"], views["sources"]
+        own_rows = (name for name, x in pasts.tensors.items() if len(x) == core.receivers)
         self._copies = [
-            [
-                view_for_kernels(_flatten(x[name]), name in pasts.words)
-                for x in (self._arrays, pasts)
-            ]
-            for name in (*flight.gathered, *episodes.tensors)
-            if name != "keys" and len(pasts[name]) == core.receivers and pasts[name][0].numel()
+            [view_for_kernels(_flatten(x[name]), name in x.words) for x in (self._arrays, pasts)]
+            for name in own_rows
+            if name not in ("keys", *SCRATCH) and pasts[name][0].numel()
         ]
 
     def reset(
@@ -184,10 +190,9 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Give one command to every receiver, and run the epochs of a decision. `actions` (B, a) in
-        [-1, 1], on the device; returns tensors: `observation` (B, o) float32, of the next episode
-        where one has ended, `reward` (B,) float64, `terminated`, and `truncated`, which is False.
-        Information is by the keys that have been requested; ``"final_obs"`` (B, o) is what was
-        observed before the reset. A filter that has diverged is an error of the step after it."""
+        [-1, 1]; returns tensors: `observation` (B, o) float32, of the next episode where one has
+        ended; `reward` (B,) float64; `terminated`, and `truncated`, which is False; information by
+        the keys that have been requested. What has diverged is an error of the step after it."""
         if not self._started:
             raise RuntimeError("call reset() before step()")
         self._check(actions)
@@ -197,11 +202,11 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
     def step_unchecked(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """`step` without a look at actions and faults: nothing waits for the device, so that it may
         be part of a CUDA graph. `check` says later what has gone wrong."""
-        arrays, rows, layout = self._arrays, self._rows, self._flight.layout
+        arrays, rows, flight = self._arrays, self._rows, self._flight
         arrays["before"].copy_(arrays["action"])
         arrays["action"].copy_(actions)
         rows["marks"].zero_()
-        kinds = layout.attack, layout.detector
+        kinds = flight.attack, flight.detector
         launch("play_step", self.num_envs, self.device, *self._known, *kinds)
         reward, terminated = rows["values"][REWARD].clone(), rows["marks"][TERMINATED].clone()
         info = self._report()
@@ -226,17 +231,8 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         raise ValueError("actions must be in [-1, 1], and some are not, or are NaN")
 
     def _report(self) -> dict[str, Any]:
-        numbers, info = self._layout.names[: self._layout.numbers], {}
-        if set(self._keys) - set(self._layout.names):
-            info[FINAL] = self._observe()
-        for name in self._keys:
-            if name in numbers:
-                info[name] = self._rows["values"][numbers.index(name)].clone()
-            elif name in MARK_NAMES:
-                info[name] = self._rows["marks"][MARK_NAMES.index(name)].clone()
-            elif name != FINAL:
-                info[name] = self._arrays[name].clone()
-        return {name: info[name] for name in self._keys}
+        final = self._observe() if {FINAL, *self._reports} & {*self._keys} else None
+        return {name: final if name == FINAL else self._told[name].clone() for name in self._keys}
 
     def _restart(self) -> Any:
         """Start new episodes where they are over; what is observed."""
@@ -247,28 +243,12 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
 
     def _observe(self) -> Any:
         launch("look", self.num_envs, self.device, *self._known)
-        seen, rows = self._arrays["seen"], self._rows
-        for kind, term, part in self._parts:
-            values = self._observe_term(kind, term, part).to(seen.dtype)
-            clipped = self._torch.maximum(values, rows["low"][part])
-            seen[:, part] = self._torch.minimum(clipped, rows["high"][part])
-        return seen.clone(memory_format=self._torch.contiguous_format)
-
-    def _observe_term(self, kind: str, term: Any, part: slice) -> Any:
-        arrays, rows, width = self._arrays, self._rows, part.stop - part.start
-        if kind == "geometry":
-            return rows[kind][arrays["epochs"]]
-        if kind == "weights":
-            return arrays[kind][:, :width]
-        if kind == "offsets":
-            scales, span_s = rows["unit_rates"], self.core.setup.attack.span_s
-            moved = arrays["displacement"] / (scales * span_s), arrays["rate"] / scales
-            known = self._torch.cat([*moved, arrays["action_mask"], arrays["taken"]], dim=1)
-            return known[:, :width]
-        if kind != "ratio":
-            return arrays[kind]
-        ratio = arrays["statistic"] / arrays["threshold"]
-        return ratio.amax(dim=1, keepdim=True) if term.largest else ratio
+        torch, seen, rows = self._torch, self._arrays["seen"], self._rows
+        for term, part in self.core.observer._parts:
+            values = TERMS[type(term)](self._arrays, rows, term)[:, : part.stop - part.start]
+            limits = rows["low"][part], rows["high"][part]
+            seen[:, part] = values.to(seen.dtype).clamp(*limits)
+        return seen.clone(memory_format=torch.contiguous_format)
 
     def close_extras(self, **kwargs: Any) -> None:
         self.core.close()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import shutil
+import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -10,20 +12,28 @@ from functools import partial, wraps
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
 from ...calibration import holdouts, thresholds
 from ...calibration.clean_runs import CHUNK, CleanRuns, Numbers, Player, join_runs
+from ...core.devices import SIMULATED, import_torch
 from ...core.progress import ProgressBar, ProgressCallback
 from ...core.registry import check_choice
 from ...core.settings import compute_digest
 from ...detectors import Calibrated, Detector
 from ...detectors.calibrated import calibrated_parts, describe_identity
 from ...detectors.calibration_file import user_folder
+from ...simulation.setup import Setup
+from ...simulation.simulator import run_serially
 from ..runs.players import PlayerSpec
 from ..runs.world import World
 from .identity import code_identity
 from .runner import Context, Experiment, run_experiment
 from .store import Cell, Reader, Result, Store
 
+TOGETHER_ON_DEVICE = 16_384
+"""Runs of a chunk on a device, one chunk at a time."""
+_device = threading.Lock()
 TOGETHER = 8  # cells, of the runs that are played side by side, that threads share in one call
 
 
@@ -115,6 +125,35 @@ class ResumablePlayer(Player):
         self.folders.clear()
 
 
+def play_on_device(
+    setup: Setup,
+    detectors: Sequence[Detector],
+    in_loop: bool,
+    rngs: Sequence[np.random.Generator],
+    stopped: threading.Event | None,
+    *,
+    device: str = "cuda",
+) -> CleanRuns:
+    """Play clean runs on a device, of one detector after the other, as `Player` does."""
+    from ...cuda.pool import Flight
+    from ...cuda.supported import check_receivers
+
+    torch, found = import_torch(), []
+    for detector in detectors:
+        judged = setup.copy_with(detector=detector, monitors=())
+        check_receivers(judged)
+        simulator = judged.simulator(len(rngs), run_serially)
+        simulator.start_episodes(copy.deepcopy(rngs))
+        with _device, torch.no_grad():
+            flight = Flight(torch, simulator, torch.device("cpu" if SIMULATED else device))
+            before = flight.warm_up(stopped)
+            window = flight.run(setup.steps + setup.hold, stopped)
+        found.append((before[0], window[0], before[1], window[1]))
+    columns = [np.stack(each, axis=1) for each in zip(*found, strict=True)]
+    age_s = np.asarray(simulator.ages * setup.interval_s, dtype=np.float64)
+    return CleanRuns._make((*columns, simulator.onset // setup.epochs_each, age_s))
+
+
 def _resumable(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function that plays clean runs, going on after a kill; with `device` ``"cuda"`` they are
     played on a GPU, with the same bits."""
@@ -124,11 +163,9 @@ def _resumable(function: Callable[..., Any]) -> Callable[..., Any]:
         check_choice("device", device.partition(":")[0], ("cpu", "cuda"))
         player: Callable[..., Player] = ResumablePlayer
         if device != "cpu":
-            from ...cuda.pool import TOGETHER, play_batch
-            from ...cuda.supported import import_torch
-
             import_torch()  # or what is missing
-            player = partial(player, batch=partial(play_batch, device=device), chunk=TOGETHER)
+            batch = partial(play_on_device, device=device)
+            player = partial(player, batch=batch, chunk=TOGETHER_ON_DEVICE)
         return function(*given, **{"player": player, **settings})
 
     return play

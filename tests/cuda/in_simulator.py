@@ -1,0 +1,187 @@
+"""Played by numba's simulator of a device: on the processor, too, with the same bits, or refused.
+
+Run in a process of its own, since numba reads ``NUMBA_ENABLE_CUDASIM`` when it is imported.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import warnings
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+from spoofgym.bench.experiments.calibration import calibrate
+from spoofgym.cuda import CudaVectorEnv
+from spoofgym.envs.factory import make_core, select_victim
+from spoofgym.simulation.engine import seed_pasts
+from spoofgym.simulation.simulator import FilterDiverged
+from spoofgym.simulation.tight import AFTER_ONSET
+from spoofgym.truth.noise import threefry
+from spoofgym.truth.sensors import SOURCES
+
+RECEIVERS, PASTS, STEPS = 2, 3, 8
+EVERY = np.arange(RECEIVERS)
+VICTIM = select_victim("tightly-coupled")
+LINE = {"warmup_s": 1.0, "live_s": 1.0, "attack_s": 2.0, "time_to_alert_s": 1.0}
+SETTINGS = {"timeline": LINE, "imu_rate_hz": 10, "detector": "never", "knowledge": "blind"}
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "cuda.md"
+
+
+class Processor:
+    """The same episodes in a core of the library."""
+
+    def __init__(self, settings: dict[str, Any], seed: np.ndarray) -> None:
+        self.core = make_core(VICTIM, RECEIVERS, {**settings, "warm_pool": 0}, threads=1)
+        self.pool = self.core.setup.simulator(PASTS, lambda work, b: work(0, b))
+        self.pool.warm_up(seed_pasts(np.arange(PASTS)))
+        self.core.engine.simulator.warm_up(seed_pasts(EVERY))
+        self.seed, self.number = seed, np.zeros(RECEIVERS, dtype=np.int64)
+
+    def start(self, rows: np.ndarray) -> None:
+        self.number[rows] += 1
+        simulator = self.core.engine.simulator
+        for b in rows.tolist():
+            drawn = threefry(np.uint64(self.number[b]), np.uint64(b), *self.seed)
+            word = tuple(map(np.uint64, drawn))
+            row, past = np.array([b]), np.array([int(word[0] % np.uint64(PASTS))])
+            simulator.copy_rows(row, self.pool, past)
+            for name in AFTER_ONSET:
+                key = threefry(np.uint64(SOURCES.index(name)), np.uint64(0), *word)
+                simulator.sensors.words.put(name, row, np.array([key], dtype=np.uint64))
+        self.core.score.reset(rows)
+        self.core._decisions.forget(rows)
+        self.core.commands.aim(self.core.heading_rad)
+        self.core.set_origin(rows)
+
+
+def compare(settings: dict[str, Any]) -> dict[str, int]:
+    """Play both, and count what has been compared; an AssertionError where a bit differs."""
+    device = CudaVectorEnv(RECEIVERS, pasts=PASTS, infos="all", **settings)
+    first, _ = device.reset(seed=5)
+    cpu = Processor(settings, device._rows["seed"].numpy().view(np.uint64))
+    flight = device._flight.tensors
+    count = compare_lasting(flight, cpu.pool)
+    same("warmup_alarm", flight["alarmed"], cpu.pool.memory["warmup_alarm"])
+    cpu.start(EVERY)
+    same("first observation", first, cpu.core.observe())
+    rng, ends = np.random.default_rng(3), 0
+    for _ in range(STEPS):
+        action = rng.uniform(-1.0, 1.0, (RECEIVERS, len(device.action_names)))
+        result, last = cpu.core.step(action)
+        seen, reward, terminated, _, info = device.step(torch.from_numpy(action))
+        wanted = {"reward": result.reward, "terminated": result.terminated, "final_obs": last}
+        wanted |= result.info
+        found = {"reward": reward, "terminated": terminated, **info}
+        assert set(found) == set(wanted), set(found) ^ set(wanted)
+        for name, array in wanted.items():
+            same(name, found[name], array)
+            count += array.size
+        ends += int(result.terminated.any())
+        cpu.start(np.flatnonzero(result.terminated))
+        same("observation", seen, cpu.core.observe())
+    count += compare_lasting(device._arrays, cpu.core.engine.simulator)
+    device.close()
+    return {"numbers": count, "resets": ends}
+
+
+def compare_calibrations(settings: dict[str, Any], detectors: list[Any]) -> dict[str, int]:
+    """Thresholds of a few clean runs, found on both; what is in their files is equal."""
+    setup, found = make_core(VICTIM, 1, settings).setup, []
+    with TemporaryDirectory() as folder:
+        for device in ("cpu", "cuda"):
+            home = Path(folder) / device
+            how = {"runs": 4, "false_alarms_per_hour": 1200.0, "folder": home, "device": device}
+            calibrate(setup, detectors, strict=False, **how)
+            found.append({path.name: path.read_text() for path in home.rglob("*.json")})
+    assert found[0] == found[1]
+    return {"calibrations": len(found[0])}
+
+
+def same(name: str, found: torch.Tensor, wanted: np.ndarray) -> None:
+    np.testing.assert_array_equal(found.numpy(), wanted, err_msg=name)
+
+
+def compare_lasting(tensors: Any, simulator: Any) -> int:
+    """State, covariance, sensors and commands of all receivers."""
+    found = {**simulator.lasting_arrays(), "weights": simulator.weights}
+    del found["keys"]  # which are unsigned
+    for name, array in found.items():
+        same(name, tensors[name], array)
+    return sum(array.size for array in found.values())
+
+
+def play_the_page() -> None:
+    """Its code, with two receivers and a short flight."""
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
+    assert "num_envs=4096" in code
+    small = f"num_envs=2, pasts=2, timeline={LINE!r}, imu_rate_hz=10"
+    exec(code.replace("num_envs=4096", small), {})
+
+
+def refuse_arguments(env: CudaVectorEnv) -> None:
+    """Of an environment that has been started, and of new ones."""
+    wrong = [torch.full((2, 1), number) for number in (float("nan"), 1.5, float("-inf"))]
+    for action, error, message in (
+        (np.zeros((2, 1)), TypeError, "tensor"),
+        (torch.zeros(3, 1), ValueError, "shape"),
+        *((each, ValueError, "NaN") for each in wrong),
+    ):
+        with pytest.raises(error, match=message):
+            env.step(action)
+    with pytest.raises(ValueError, match="options"):
+        env.reset(options={"reset_mask": np.ones(2, dtype=np.bool_)})
+    for own, message in (({"autoreset_mode": "next_step"}, "same_step"), ({"infos": "?"}, "info")):
+        with pytest.raises(ValueError, match=message):
+            CudaVectorEnv(2, pasts=2, **SETTINGS, **own)
+
+
+def refuse() -> dict[str, int]:
+    """What an environment on a device refuses, and that two of them leave each other alone."""
+    made = gym.make_vec("spoofgym/Zhong2025-v0", num_envs=2, device="cuda", pasts=2, **SETTINGS)
+    env = made.unwrapped
+    assert isinstance(env, CudaVectorEnv)
+    assert env.observation_space.shape == (2, 4)
+    other = CudaVectorEnv(3, pasts=2, infos=("alarm",), **SETTINGS)
+    with pytest.raises(RuntimeError, match="call reset"):
+        env.step(torch.zeros(2, 1))
+    first, info = env.reset(seed=1)
+    assert first.dtype == torch.float32
+    assert info == {}
+    refuse_arguments(env)
+    # two environments on one device leave each other alone, and a seed gives the same again
+    seen, reward, terminated, truncated, info = env.step(torch.ones(2, 1))
+    other.reset(seed=9)
+    assert {*other.step(torch.zeros(3, 1))[4]} == {"alarm"}
+    assert torch.equal(env.reset(seed=1)[0], first)
+    again = env.step(torch.ones(2, 1))
+    assert torch.equal(again[0], seen)
+    assert torch.equal(again[1], reward)
+    assert reward.dtype == torch.float64
+    assert terminated.dtype == truncated.dtype == torch.bool
+    env._arrays["x"][1] = float("nan")
+    env.step(torch.zeros(2, 1))
+    with pytest.raises(FilterDiverged, match="receiver 1 of 2"):
+        env.step(torch.zeros(2, 1))
+    made.close()
+    other.close()
+    play_the_page()
+    return {"refused": 1}
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    for case in json.loads(sys.argv[1]):
+        judges = case.pop("calibrated", None)
+        if not case:
+            found = refuse()
+        else:
+            found = compare(case) if judges is None else compare_calibrations(case, judges)
+        print(json.dumps(found), flush=True)
