@@ -34,14 +34,14 @@ def name_rules(settings):
 
 
 @njit
-def scratch_shape(channels, axes, residuals):
+def measure_scratch(channels, axes, residuals):
     """Of the memory that `divide_offsets` takes; the last row is free for `lanes` of one."""
     return 2 * residuals + 11, max(channels, axes, 8)
 
 
 @njit
 def divide_offsets(work, channels, axes, residuals, lanes):
-    """`Scratch` in memory of `scratch_shape`, and in a lane array."""
+    """`Scratch` in memory of `measure_scratch`, and in a lane array."""
     r, n = 2 * residuals + 4, channels
     by_axis = work[r + 2, :axes], work[r + 3, :axes], work[r + 4, :axes]
     above = work[:residuals, :n], work[residuals:r, :n], work[r : r + 2, :n]
@@ -52,7 +52,7 @@ def divide_offsets(work, channels, axes, residuals, lanes):
 def make_scratch(capturing):
     n, axes = capturing.taken.shape[1], capturing.requested.shape[1]
     residuals = capturing.bases.shape[1]
-    work = np.zeros(scratch_shape(n, axes, residuals))
+    work = np.zeros(measure_scratch(n, axes, residuals))
     return divide_offsets(work, n, axes, residuals, np.empty((8, LANES)))
 
 
@@ -264,11 +264,11 @@ def list_offsets(
     w = make_scratch(capturing)
     for b in range(amplitudes.shape[0]):
         given = amplitudes, settings, capturing, axes_e, target_error, epochs, truth
-        list_axes(*given, offsets, coming, b, w)
+        list_slots(*given, offsets, coming, b, w)
 
 
 @njit
-def list_axes(
+def list_slots(
     amplitudes, settings, capturing, axes_e, target_error, epochs, truth, offsets, coming, b, w
 ):
     """`list_offsets` of receiver b."""

@@ -11,7 +11,7 @@ import numpy as np
 from numba import cuda
 
 from ..attacks._kernels import Commanded, displace_antenna, per_channel
-from ..attacks._offset_kernels import Capturing, command_axes, divide_offsets, list_axes
+from ..attacks._offset_kernels import Capturing, command_axes, divide_offsets, list_slots
 from ..detectors.base import is_sound
 from ..detectors.charts import find_largest_sizes, judge_channels
 from ..detectors.chi_square import window_sum
@@ -29,12 +29,10 @@ NEVER, EWMA, PASSIVE_EWMA, SHEWHART, CUSUM, SNAPSHOT, WINDOWED = range(7)
 ATTACKED, JUDGED, ALL = 1, 2, 3
 UNSOUND, DIVERGED = 1, 2  # what a thread finds, in `faults`
 
-# What lasts of every receiver:
-# - `x` to `coasting`: of `ReceiverBuffers`, `sensors` to `signals`: of `SensorBuffers`, of one
-#   receiver each; `displacement` to `residual`: of an attack;
-# - `covariance` of the innovations: a view of `out`; `first` to `judged`: memory of the detector;
-#   `statistic` to `weights`: of its verdict;
-# - `work`, `spans`, `offset_work`: scratch memory of kernels; `faults` (B,) int64.
+# What lasts of every receiver: `x` to `coasting` of `ReceiverBuffers`, `sensors` to `signals` of
+# `SensorBuffers`, `displacement` to `residual` of an attack, `covariance` of innovations, a view of
+# `out`, `first` to `judged` of the detector, `statistic` to `weights` of its verdict; then scratch
+# memory of kernels, and what they have found.
 Receivers = namedtuple(
     "Receivers",
     "x assumed out visible coasting sensors constants keys epochs range_offset rate_offset "
@@ -88,11 +86,8 @@ def judge(r, t, w, b, detector):
             epoch = statistic[0], threshold[0]
             window_sum(*epoch, int(s[0]), *past, *epoch)
             seen = int(threshold[0, 0])
-    for c in range(statistic.shape[1]):
-        if SHEWHART <= detector <= CUSUM:
-            threshold[0, c] = s[1]
-        elif detector >= SNAPSHOT:
-            threshold[0, c] = t.limits[seen]
+    for c in range(statistic.shape[1] if detector >= SHEWHART else 0):
+        threshold[0, c] = t.limits[seen] if detector >= SNAPSHOT else s[1]
     if not is_sound(statistic, threshold, weights):
         r.faults[b] |= UNSOUND
     for c in range(statistic.shape[1]):
@@ -184,7 +179,7 @@ def play_step(r, t, p, attack, detector):
         if p.matrix.shape[2] > 0:
             given = p.matrix[b:e], p.following, r.rate[b:e]
             envs.follow_rate(p.now[b:e], *given, p.command[b:e])
-        play_epoch(r, t, p, b, attack, detector)
+        play_scored(r, t, p, b, attack, detector)
         if k > 0:
             add_earlier(p.values, p.sums, b)
         alarmed = alarmed or p.marks[envs.ALARM, b]
@@ -205,7 +200,7 @@ def add_earlier(values, sums, b):
         values[last + envs.REWARD, b] += values[row, b]
 
 
-def play_epoch(r, t, p, b, attack, detector):
+def play_scored(r, t, p, b, attack, detector):
     """An epoch of receiver b, as `envs._kernels.play_epoch` runs it, and its time to alert."""
     e, count, first, held = b + 1, 1 + int(p.rules[envs.HOLD]), 0, False
     for k in range(count):
@@ -243,8 +238,8 @@ def look(r, t, p):
         truth = EpochTruth(t.epoch_time, t.satellites, t.position_e, t.velocity_e)
         rest = t.axes_e, r.target_error[b:e], r.epochs[b:e], truth
         known, coming = (t.attack_settings, capturing, *rest), p.action_mask[b:e]
-        list_axes(r.displacement[b:e], *known, p.offsets_m[b:e], coming, 0, w)
-        list_axes(r.requested[b:e], *known, p.requested_offsets_m[b:e], coming, 0, w)
+        list_slots(r.displacement[b:e], *known, p.offsets_m[b:e], coming, 0, w)
+        list_slots(r.requested[b:e], *known, p.requested_offsets_m[b:e], coming, 0, w)
 
 
 def pick(p, keys, pasts, seed, sources):

@@ -37,7 +37,7 @@ DETECTORS: dict[type[Any], tuple[int, tuple[str, ...], Callable[[Any], Iterable[
 ALIKE = "assumed", "constants"
 """What is one for all receivers where all are alike."""
 SCRATCH = "work", "spans", "offset_work", "faults", "alarmed", "ratio", "left"
-"""What does not last, or is of a flight without an attack."""
+"""What does not last, or is of a fleet without an attack."""
 OF_OFFSETS = dict(requested=float, taken=bool, orders=int, bases=int, residual=float)
 """What an attack by offsets remembers, beside what all do."""
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 from numba import cuda
 
-from ..attacks._offset_kernels import scratch_shape
+from ..attacks._offset_kernels import measure_scratch
 from ..calibration.clean_runs import check_stopped
 from ..core.devices import SIMULATED, import_torch
 from ..detectors.charts import Ewma
@@ -26,8 +26,7 @@ PIECE = 8  # epochs of a launch, so that a desktop's watchdog lets it end
 
 
 def launch(name: str, receivers: int, device: Any, *arguments: Any) -> None:
-    """Run a kernel with a thread for each receiver, in the stream of PyTorch; the simulator has
-    none, and is spared idle threads."""
+    """Run a kernel with a thread for each receiver, in the stream of PyTorch."""
     threads, stream = 1, 0
     if not SIMULATED:
         threads, current = THREADS, import_torch().cuda.current_stream(device)
@@ -36,8 +35,7 @@ def launch(name: str, receivers: int, device: Any, *arguments: Any) -> None:
 
 
 def raise_faults(faults: Any) -> None:
-    """Raise what kernels have found, `faults` (B,): `FilterDiverged`, or a verdict that is not
-    finite."""
+    """Raise what kernels have found, (B,): a filter that has diverged, or an unsound verdict."""
     if bool(faults.any()):
         b = int((faults != 0).nonzero()[0])
         if int(faults[b]) & _kernels.DIVERGED:
@@ -45,12 +43,10 @@ def raise_faults(faults: Any) -> None:
         raise ValueError(f"the detector's verdict on receiver {b} is not finite")
 
 
-class Flight:
-    """M receivers without an attack, as a simulator has begun them.
-
-    `attack`, `detector`: which they have, by number; `tensors`: all that there is of receivers, by
-    name; `shared`: what all read, as kernels take it.
-    """
+class Fleet:
+    """M receivers without an attack, as a simulator has begun them. `attack`, `detector`: which
+    they have, by number; `tensors`: all that there is of receivers, by name; `shared`: what all
+    read, as kernels take it."""
 
     def __init__(self, torch: Any, simulator: TightlyCoupledSimulator, device: Any) -> None:
         self._device, self._phases = device, (simulator.setup.filter_only, simulator.ages)
@@ -64,21 +60,19 @@ class Flight:
         wanted = ("innovation_cov",) if self.detector >= _kernels.SNAPSHOT else ()
         one = ReceiverBuffers(1, n, wanted)
         self._places, first = one.places.astype(np.int64), (*settings(inner), 0.0, 0.0, 0.0)[:3]
-        rules = np.array([*first, scale, *getattr(inner, "_rows", (0, n))], dtype=float)
         shared = {
             **simulator.shared_arrays(),
             "C_en": simulator.setup.C_en,
             "axes_e": getattr(attack, "axes_e", np.zeros((1, 1, 6))),
             "places": self._places,
-            "settings": rules,
+            "settings": np.array([*first, scale, *getattr(inner, "_rows", (0, n))], dtype=float),
             "limits": np.asarray(getattr(inner, "_thresholds", np.zeros(1)), dtype=float),
         }
         self.shared = Tensors(torch, shared, device, shared=True).name_views(_kernels.Shared)
         nothing, columns, sizes = np.zeros((m, 0)), 1 if whole else n, (1, 1)
         known = [np.asarray(inner.memory[name], dtype=float) for name in remembered]
         if self.attack == _kernels.OFFSETS:
-            shapes = (attack.memory[name].shape[1] for name in ("displacement", "bases"))
-            sizes = scratch_shape(n, *shapes)
+            sizes = measure_scratch(n, *(attack.memory[x].shape[1] for x in ("rate", "bases")))
         arrays: Arrays = {
             **simulator.lasting_arrays(),
             **{name: attack.memory.get(name, nothing.astype(t)) for name, t in OF_OFFSETS.items()},
@@ -99,22 +93,20 @@ class Flight:
             **dict.fromkeys(("faults", "left"), np.zeros(m, dtype=np.int64)),
         }
         self.tensors = Tensors(torch, arrays, device)
-        views = (self.tensors.views[name] for name in ("alarmed", "ratio", "left"))
-        self._known = self.name_receivers(self.tensors), self.shared, *views
+        found = (self.tensors.views[name] for name in ("alarmed", "ratio", "left"))
+        self._known = self.name_receivers(self.tensors), self.shared, *found
 
     def name_receivers(self, tensors: Tensors) -> Any:
         """`Receivers` of kernels, with a view of the innovations' covariance where it is shown."""
         out, m = tensors["out"], 2 * tensors["visible"].shape[1]
-        place, receivers = max(int(self._places[2]), 0), len(out)
-        size = m if self._places[2] >= 0 else 0
-        strides = 1, m * receivers, receivers
-        part = out.as_strided((receivers, size, size), strides, place * receivers)
+        receivers, place = len(out), int(self._places[2])
+        shape = receivers, *((m, m) if place >= 0 else (0, 0))
+        part = out.as_strided(shape, (1, m * receivers, receivers), max(place, 0) * receivers)
         tensors.views["covariance"] = view_for_kernels(part)
         return tensors.name_views(_kernels.Receivers)
 
     def warm_up(self, stopped: threading.Event | None = None) -> tuple[Any, Any]:
-        """Run all to their onsets, the last epochs with the detector, which what `run` returns is
-        of."""
+        """Run all to their onsets, with the detector where it is on; what `run` says of that."""
         settling, whole = self._phases
         self.run(settling, stopped, 0)
         return self.run(whole - settling, stopped)
@@ -136,13 +128,13 @@ class Flight:
         return tensors["ratio"].cpu().numpy().copy(), tensors["alarmed"].cpu().numpy().copy()
 
 
-def start_pasts(torch: Any, core: SpoofCore, device: Any) -> Flight:
+def start_pasts(torch: Any, core: SpoofCore, device: Any) -> Fleet:
     """As many receivers at their onset as a core has, with what belongs to their episodes."""
     simulator = cast(TightlyCoupledSimulator, core.engine.simulator)
     simulator.start_episodes(seed_pasts(np.arange(core.receivers)))
-    flight = Flight(torch, simulator, device)
-    flight.warm_up()
-    tensors = flight.tensors
+    fleet = Fleet(torch, simulator, device)
+    fleet.warm_up()
+    tensors = fleet.tensors
     simulator.buffers.position_e[:] = tensors["out"][:, 2:5].cpu().numpy()
     simulator.sensors.epoch[:] = tensors["epochs"].cpu().numpy()
     core.commands.aim(core.heading_rad)
@@ -154,5 +146,5 @@ def start_pasts(torch: Any, core: SpoofCore, device: Any) -> Flight:
         "origin": simulator.origin_ne(),
         "warmup_alarm": tensors["alarmed"].cpu().numpy(),
     }
-    flight.tensors |= Tensors(torch, episodes, device)
-    return flight
+    fleet.tensors |= Tensors(torch, episodes, device)
+    return fleet

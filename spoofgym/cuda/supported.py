@@ -36,8 +36,7 @@ TERMS: dict[type[Any], Callable[[Any, Any, Any], Any]] = {
     seen.GainWeight: lambda arrays, rows, term: arrays["weights"],
     seen.StatisticRatio: _see_ratio,
 }
-"""Observation terms that depend on what has happened, as tensors (B, k) whose first columns are
-observed; of tensors of the receivers and of what they share."""
+"""What is observed by a term, in the first columns, of tensors of receivers, and of all."""
 
 
 def check_receivers(setup: Setup) -> None:

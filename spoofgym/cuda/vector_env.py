@@ -109,8 +109,8 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
     def _allocate(self) -> None:
         torch, core, b, device = self._torch, self.core, self.num_envs, self.device
         setup, attack, rows = core.setup, core.setup.attack, core._fused.layout.numbers + 3
-        self._flight = flight = start_pasts(torch, core, device)
-        pasts = flight.tensors
+        self._fleet = fleet = start_pasts(torch, core, device)
+        pasts = fleet.tensors
         if device.type != "cpu":
             each = pasts.bytes_each + 8 * (setup.steps + 1 + 2 * rows)
             check_free_memory(b, each, torch.cuda.mem_get_info(device)[0])
@@ -154,13 +154,13 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
             shared["unit_rates"] = attack.unit_rates(setup.world)
             shared["unit_offsets"] = shared["unit_rates"] * attack.span_s
         self._rows = Tensors(torch, shared, device, shared=True)
-        told = *self._rows["values"][: rows - 3], *self._rows["marks"][: len(MARK_NAMES)]
-        self._told = dict(zip(self._names, told, strict=True))
-        self._told |= {name: self._arrays[name] for name in self._reports}
-        receivers = flight.name_receivers(self._arrays)
+        both = *self._rows["values"][: rows - 3], *self._rows["marks"][: len(MARK_NAMES)]
+        self._infos: dict[str, Any] = dict(zip(self._names, both, strict=True))
+        self._infos |= {name: self._arrays[name] for name in self._reports}
+        receivers = fleet.name_receivers(self._arrays)
         views = self._arrays.views | self._rows.views
         self._episodes = _kernels.Episodes(*(views[name] for name in _kernels.Episodes._fields))
-        self._known = receivers, flight.shared, self._episodes
+        self._known = receivers, fleet.shared, self._episodes
         keys = receivers.keys, pasts.views["keys"]
         self._pick = self._episodes, *keys, views["seed"], views["sources"]
         own_rows = (name for name, x in pasts.tensors.items() if len(x) == core.receivers)
@@ -173,9 +173,8 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start an episode in every receiver. `seed` is that of all episodes from here on; without
-        one the present ones go on with the next. There are no `options`. Returns `observation`
-        (B, o) float32, and no information."""
+        """Start an episode in every receiver; `seed` is that of all from here on, by default the
+        one so far. There are no `options`, and no information beside `observation` (B, o)."""
         if options:
             raise ValueError(f"device='cuda' has no options of a reset, got {sorted(options)}")
         super().reset(seed=checked_seed(seed))
@@ -200,13 +199,13 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
             return self.step_unchecked(actions)
 
     def step_unchecked(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """`step` without a look at actions and faults: nothing waits for the device, so that it may
-        be part of a CUDA graph. `check` says later what has gone wrong."""
-        arrays, rows, flight = self._arrays, self._rows, self._flight
+        """`step` without a look at actions and faults, which `check` does later: nothing waits for
+        the device, so that it may be part of a CUDA graph."""
+        arrays, rows, fleet = self._arrays, self._rows, self._fleet
         arrays["before"].copy_(arrays["action"])
         arrays["action"].copy_(actions)
         rows["marks"].zero_()
-        kinds = flight.attack, flight.detector
+        kinds = fleet.attack, fleet.detector
         launch("play_step", self.num_envs, self.device, *self._known, *kinds)
         reward, terminated = rows["values"][REWARD].clone(), rows["marks"][TERMINATED].clone()
         info = self._report()
@@ -225,14 +224,13 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
             names = ", ".join(self.action_names)
             raise ValueError(f"actions must have shape {shape} ({names}), got {actions.shape}")
         inside = (actions.abs() <= 1.0 + TOLERANCE).all()
-        if bool(torch.logical_and(inside, ~self._arrays["faults"].any())):
-            return
-        self.check()
-        raise ValueError("actions must be in [-1, 1], and some are not, or are NaN")
+        if not bool(torch.logical_and(inside, ~self._arrays["faults"].any())):
+            self.check()
+            raise ValueError("actions must be in [-1, 1], and some are not, or are NaN")
 
     def _report(self) -> dict[str, Any]:
         final = self._observe() if {FINAL, *self._reports} & {*self._keys} else None
-        return {name: final if name == FINAL else self._told[name].clone() for name in self._keys}
+        return {x: final if x == FINAL else self._infos[x].clone() for x in self._keys}
 
     def _restart(self) -> Any:
         """Start new episodes where they are over; what is observed."""

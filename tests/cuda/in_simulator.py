@@ -67,9 +67,9 @@ def compare(settings: dict[str, Any]) -> dict[str, int]:
     device = CudaVectorEnv(RECEIVERS, pasts=PASTS, infos="all", **settings)
     first, _ = device.reset(seed=5)
     cpu = Processor(settings, device._rows["seed"].numpy().view(np.uint64))
-    flight = device._flight.tensors
-    count = compare_lasting(flight, cpu.pool)
-    same("warmup_alarm", flight["alarmed"], cpu.pool.memory["warmup_alarm"])
+    fleet = device._fleet.tensors
+    count = compare_lasting(fleet, cpu.pool)
+    same("warmup_alarm", fleet["alarmed"], cpu.pool.memory["warmup_alarm"])
     cpu.start(EVERY)
     same("first observation", first, cpu.core.observe())
     rng, ends = np.random.default_rng(3), 0
@@ -126,21 +126,9 @@ def play_the_page() -> None:
     exec(code.replace("num_envs=4096", small), {})
 
 
-def refuse_arguments(env: CudaVectorEnv) -> None:
-    """Of an environment that has been started, and of new ones."""
-    wrong = [torch.full((2, 1), number) for number in (float("nan"), 1.5, float("-inf"))]
-    for action, error, message in (
-        (np.zeros((2, 1)), TypeError, "tensor"),
-        (torch.zeros(3, 1), ValueError, "shape"),
-        *((each, ValueError, "NaN") for each in wrong),
-    ):
-        with pytest.raises(error, match=message):
-            env.step(action)
-    with pytest.raises(ValueError, match="options"):
-        env.reset(options={"reset_mask": np.ones(2, dtype=np.bool_)})
-    for own, message in (({"autoreset_mode": "next_step"}, "same_step"), ({"infos": "?"}, "info")):
-        with pytest.raises(ValueError, match=message):
-            CudaVectorEnv(2, pasts=2, **SETTINGS, **own)
+def raises(error: type[Exception], message: str, work: Any, *given: Any, **how: Any) -> None:
+    with pytest.raises(error, match=message):
+        work(*given, **how)
 
 
 def refuse() -> dict[str, int]:
@@ -148,28 +136,29 @@ def refuse() -> dict[str, int]:
     made = gym.make_vec("spoofgym/Zhong2025-v0", num_envs=2, device="cuda", pasts=2, **SETTINGS)
     env = made.unwrapped
     assert isinstance(env, CudaVectorEnv)
-    assert env.observation_space.shape == (2, 4)
     other = CudaVectorEnv(3, pasts=2, infos=("alarm",), **SETTINGS)
-    with pytest.raises(RuntimeError, match="call reset"):
-        env.step(torch.zeros(2, 1))
+    raises(RuntimeError, "call reset", env.step, torch.zeros(2, 1))
     first, info = env.reset(seed=1)
-    assert first.dtype == torch.float32
-    assert info == {}
-    refuse_arguments(env)
+    assert (first.shape, first.dtype, info) == (env.observation_space.shape, torch.float32, {})
+    raises(TypeError, "tensor", env.step, np.zeros((2, 1)))
+    raises(ValueError, "shape", env.step, torch.zeros(3, 1))
+    for number in (float("nan"), 1.5, float("-inf")):
+        raises(ValueError, "NaN", env.step, torch.full((2, 1), number))
+    raises(ValueError, "options", env.reset, options={"reset_mask": np.ones(2, dtype=np.bool_)})
+    raises(ValueError, "same_step", CudaVectorEnv, 2, autoreset_mode="next_step", **SETTINGS)
+    raises(ValueError, "info", CudaVectorEnv, 2, pasts=2, infos=("nothing",), **SETTINGS)
     # two environments on one device leave each other alone, and a seed gives the same again
-    seen, reward, terminated, truncated, info = env.step(torch.ones(2, 1))
+    seen, reward, terminated, truncated, _ = env.step(torch.ones(2, 1))
     other.reset(seed=9)
     assert {*other.step(torch.zeros(3, 1))[4]} == {"alarm"}
     assert torch.equal(env.reset(seed=1)[0], first)
     again = env.step(torch.ones(2, 1))
     assert torch.equal(again[0], seen)
     assert torch.equal(again[1], reward)
-    assert reward.dtype == torch.float64
-    assert terminated.dtype == truncated.dtype == torch.bool
+    assert (reward.dtype, terminated.dtype, truncated.dtype) == (torch.float64, *[torch.bool] * 2)
     env._arrays["x"][1] = float("nan")
     env.step(torch.zeros(2, 1))
-    with pytest.raises(FilterDiverged, match="receiver 1 of 2"):
-        env.step(torch.zeros(2, 1))
+    raises(FilterDiverged, "receiver 1 of 2", env.step, torch.zeros(2, 1))
     made.close()
     other.close()
     play_the_page()

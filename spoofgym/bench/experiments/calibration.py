@@ -135,7 +135,7 @@ def play_on_device(
     device: str = "cuda",
 ) -> CleanRuns:
     """Play clean runs on a device, of one detector after the other, as `Player` does."""
-    from ...cuda.pool import Flight
+    from ...cuda.pool import Fleet
     from ...cuda.supported import check_receivers
 
     torch, found = import_torch(), []
@@ -145,9 +145,9 @@ def play_on_device(
         simulator = judged.simulator(len(rngs), run_serially)
         simulator.start_episodes(copy.deepcopy(rngs))
         with _device, torch.no_grad():
-            flight = Flight(torch, simulator, torch.device("cpu" if SIMULATED else device))
-            before = flight.warm_up(stopped)
-            window = flight.run(setup.steps + setup.hold, stopped)
+            fleet = Fleet(torch, simulator, torch.device("cpu" if SIMULATED else device))
+            before = fleet.warm_up(stopped)
+            window = fleet.run(setup.steps + setup.hold, stopped)
         found.append((before[0], window[0], before[1], window[1]))
     columns = [np.stack(each, axis=1) for each in zip(*found, strict=True)]
     age_s = np.asarray(simulator.ages * setup.interval_s, dtype=np.float64)
