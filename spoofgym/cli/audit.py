@@ -259,6 +259,7 @@ def audit_spoofer(
     from ..bench.experiments.suite import (
         Suite,
         find_stored_floor,
+        find_task_card,
         get_budget,
         list_standard_detectors,
         standard_kwargs,
@@ -295,6 +296,7 @@ def audit_spoofer(
             tuning=make_tuning(size.training_runs, 0.05, rule="exact", quick=size.quick),
             floor_worlds=size.floor_worlds,
             floor=find_stored_floor(task),
+            curves=find_task_card(task).get("optima_mps"),
         )
         try:
             suite.world.check_fit((), suite.spoofer_players)
