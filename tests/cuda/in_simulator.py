@@ -67,9 +67,8 @@ def compare(settings: dict[str, Any]) -> dict[str, int]:
     device = CudaVectorEnv(RECEIVERS, pasts=PASTS, infos="all", **settings)
     first, _ = device.reset(seed=5)
     cpu = Processor(settings, device._rows["seed"].numpy().view(np.uint64))
-    fleet = device._fleet.tensors
-    count = compare_lasting(fleet, cpu.pool)
-    same("warmup_alarm", fleet["alarmed"], cpu.pool.memory["warmup_alarm"])
+    count = compare_lasting(device._fleet.tensors, cpu.pool)
+    same("alarms", device._fleet.tensors["warmup_alarm"], cpu.pool.memory["warmup_alarm"])
     cpu.start(EVERY)
     same("first observation", first, cpu.core.observe())
     rng, ends = np.random.default_rng(3), 0
@@ -77,9 +76,9 @@ def compare(settings: dict[str, Any]) -> dict[str, int]:
         action = rng.uniform(-1.0, 1.0, (RECEIVERS, len(device.action_names)))
         result, last = cpu.core.step(action)
         seen, reward, terminated, _, info = device.step(torch.from_numpy(action))
+        found = {"reward": reward, "terminated": terminated, **info}
         wanted = {"reward": result.reward, "terminated": result.terminated, "final_obs": last}
         wanted |= result.info
-        found = {"reward": reward, "terminated": terminated, **info}
         assert set(found) == set(wanted), set(found) ^ set(wanted)
         for name, array in wanted.items():
             same(name, found[name], array)
@@ -159,8 +158,6 @@ def refuse() -> dict[str, int]:
     env._arrays["x"][1] = float("nan")
     env.step(torch.zeros(2, 1))
     raises(FilterDiverged, "receiver 1 of 2", env.step, torch.zeros(2, 1))
-    made.close()
-    other.close()
     play_the_page()
     return {"refused": 1}
 
