@@ -1,5 +1,6 @@
 """spoofgym calibrate, and commands that calibrate what they lack."""
 
+import importlib.util
 import json
 import math
 import shlex
@@ -41,6 +42,12 @@ def test_a_calibration_is_made_shown_and_used(folder):
     played = call("run", *SHORT, *RATE, *CHI2, "--no-picture", "--spoofer", "step")
     assert played.exit_code == 0, played.output
     assert "20 false alarms an hour, 13 % of runs of 25 s (40 clean runs" in played.stdout
+
+
+def test_a_device_that_is_unknown_or_lacks_its_packages_is_refused():
+    assert "unknown device 'tpu'" in refused(*SHORT_RATE, *CHI2, "--device", "tpu")
+    if importlib.util.find_spec("numba_cuda") is None:
+        assert "spoofgym[cuda]" in refused(*SHORT_RATE, *CHI2, "--device", "cuda")
 
 
 def test_a_degenerate_statistic_that_was_named_is_a_failure_and_rescaled_is_none():
