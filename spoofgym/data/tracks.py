@@ -42,7 +42,7 @@ FACTORS = {  # of the units that may end a column's name, in m, m/s and deg
 TIME = (
     *("timestamp", "time", "datetime", "utc", "timestamp_utc", "time_utc", "now", "ts", "snapshot"),
     *("snapshottime", "date_time", "unixtime", "epoch", "last_contact", "lastcontact"),
-    *("snapshot_id", "postime", "unix_time", "utc_time"),
+    *("snapshot_id", "postime", "unix_time", "utc_time", "event_time"),
 )
 TIME_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 REQUIRED = ("latitude", "longitude", "altitude")
