@@ -493,7 +493,7 @@ def onnx(
     if inner is None:
         raise TypeError(
             f"`env` must be an environment of spoofgym, wrapped or not, in this process, got "
-            f"{env!r}; of one in another process, as by SubprocVecEnv, give one that is made alike"
+            f"{env!r}; for one in another process (SubprocVecEnv), give one with the same settings"
         )
     refuse_changes(env, "this policy", normalized=True)
     normalization = _normalization_around(model, env)

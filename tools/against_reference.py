@@ -149,7 +149,7 @@ def tabulate(found: dict[str, Any]) -> str:
     parts = []
     if ages := found.get("ages"):
         table = Table.of_texts(
-            "onset after switch-on", "found [%]", "reference [%]", "less, paired [points]"
+            "onset after switch-on", "found [%]", "reference [%]", "difference, paired [points]"
         )
         rows = [
             (
@@ -161,7 +161,9 @@ def tabulate(found: dict[str, Any]) -> str:
         ]
         parts.append(table.markdown(rows))
     if played := found.get("families"):
-        table = Table.of_texts("family", "P(HMI) [%]", "reference [%]", "less, paired [points]")
+        table = Table.of_texts(
+            "family", "P(HMI) [%]", "reference [%]", "difference, paired [points]"
+        )
         rows = [
             (
                 f"`{key}`",

@@ -29,7 +29,7 @@ from tools.pages import DOCS, render_page
 FOLDER = DOCS / "environments"
 IDS = {
     "TightlyCoupled": "an aircraft's tightly coupled GNSS/INS filter, in the world of task S1",
-    "Zhong2025": "the same filter in the papers' fixed world, which is fast",
+    "Zhong2025": "the filter of `TightlyCoupled-v0` in the papers' fixed world, which is fast",
     "LooselyCoupled": "an airliner's loosely coupled GNSS/INS filter, of `shadmehri2025`",
     "Snapshot": "a receiver without a filter, of `wu2024`",
     "WheeledRobot": "a robot with odometry, of `song2021`",

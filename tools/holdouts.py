@@ -170,7 +170,7 @@ def _table(world: dict[str, Any]) -> Table:
             lambda x: f"{_rate(x['worst_world_per_hour'])} ({_rate(x['worst_world_by_chance'])})",
         ),
         (f"with an alarm at {RARE_RATE:g} an hour (predicted)", rare, _format_count),
-        ("alarm before it [%]", lambda row: f"{100 * row['early'] / row['runs']:.2g}"),
+        ("alarm before the attack [%]", lambda row: f"{100 * row['early'] / row['runs']:.2g}"),
     )
 
 
@@ -184,7 +184,7 @@ def _tabulate_task(world: dict[str, Any]) -> Table:
             "at ages of 1 to 3, to 10, to 30, to 60 min",
             lambda row: ", ".join(_rate(each) for _, each in row["per_hour_by_age"]),
         ),
-        ("alarm before it [%]", lambda row: f"{100 * row['early'] / row['runs']:.2g}"),
+        ("alarm before the attack [%]", lambda row: f"{100 * row['early'] / row['runs']:.2g}"),
     )
 
 

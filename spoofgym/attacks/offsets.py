@@ -48,7 +48,7 @@ class Offsets(Attack):
     since shortened single channels would not fit together any more: the largest rate of a channel
     with ``basis="satellites"``; else :math:`|\dot D| + |\dot b| + |\dot c|`, which no channel
     exceeds.  Axes that change no measurement, such as slots of satellites that are not in view, are
-    masked: what is commanded there is not looked at.
+    masked: commands there have no effect.
     """
 
     reports: ClassVar[tuple[str, ...]] = ("offsets_m", "requested_offsets_m", "action_mask")

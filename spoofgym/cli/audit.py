@@ -31,9 +31,9 @@ class AuditOptions:
     )
     budget: str | None = Option(
         None,
-        help="How much is played: quick, standard or full, some 1, 3 or 12 minutes of a "
-        "processor for a plain detector in D1. A class of your own takes longer, in a process of "
-        "its own; its calibration comes first, once, and takes some 3 minutes. Default: standard; "
+        help="How much is played: quick, standard or full, some 1, 4 or 12 minutes of a "
+        "processor for a plain detector in D1. A class of your own plays in a process of its own "
+        "and takes longer; it is first calibrated, once, in some 3 minutes. Default: standard; "
         "quick with --check.",
     )
     family: list[str] | None = Option(
@@ -68,7 +68,7 @@ class AuditOptions:
         None, help="With --log: length of an attack, in seconds. Default: 150."
     )
     time_to_alert_s: float | None = Option(
-        None, help="With --log: time after that error in which an alarm counts. Default: 10 s."
+        None, help="With --log: an alarm counts at most this long after the error. Default: 10 s."
     )
     out: Path = Option(
         Path("results/audit"), help="Folder of finished parts and of the worst attacks."
@@ -142,7 +142,7 @@ def audit_(
     from ..bench.report.audit import print_audits
 
     if [detector or None, spoofer, check].count(None) != 2:
-        raise ValueError("an audit is of a DETECTOR, a --spoofer or an entry, by --check: give one")
+        raise ValueError("give one thing to audit: a DETECTOR, a --spoofer or an entry (--check)")
     if check is not None:
         check_entry(check, options, as_json)
         return
@@ -169,7 +169,7 @@ def check_entry(folder: Path, options: AuditOptions, as_json: bool) -> None:
     entry = Entry.load(folder)
     if options.task or options.shard or options.log:
         raise ValueError(
-            "--task, --shard and --log don't go with --check, whose entry has its task"
+            "--task, --shard and --log don't go with --check: the entry names its task"
         )
     out, budget = options.out.resolve() / entry.name, options.budget or "quick"
     options = replace(options, task=[entry.task], out=out, budget=budget)
@@ -259,6 +259,7 @@ def audit_spoofer(
     from ..bench.experiments.suite import (
         Suite,
         find_stored_floor,
+        find_task_card,
         get_budget,
         list_standard_detectors,
         standard_kwargs,
@@ -295,6 +296,7 @@ def audit_spoofer(
             tuning=make_tuning(size.training_runs, 0.05, rule="exact", quick=size.quick),
             floor_worlds=size.floor_worlds,
             floor=find_stored_floor(task),
+            curves=find_task_card(task).get("optima_mps"),
         )
         try:
             suite.world.check_fit((), suite.spoofer_players)

@@ -41,10 +41,9 @@ def bench(
         None,
         help="Spoofer, may be repeated. Its amplitude, or the rate of a plain ramp, is fitted "
         "to the alarm budget; with step:size_m=tuned that setting is fitted, with "
-        "step:amplitude=1 none. A shipped spoofer by its name, a learned one by "
-        "its .onnx file. Default: ramp, accelerating-ramp, open-loop and feedback; with "
-        "options of the world none, step, ramp, accelerating-ramp, open-loop, and the shipped "
-        "ones that fit.",
+        "step:amplitude=1 nothing is. A shipped spoofer by its name, a learned one by "
+        "its .onnx file. Default: ramp, accelerating-ramp, open-loop and feedback; in another "
+        "world: none, step, ramp, accelerating-ramp, open-loop, and the shipped ones that fit.",
     ),
     budget: opt.Budget = "standard",
     runs: opt.Runs = None,

@@ -38,13 +38,13 @@ def calibrate(
         "that de-weights.",
     ),
     false_alarms_per_hour: float = Option(
-        0.2, help="False-alarm rate that thresholds are found for, per hour without attack."
+        0.2, help="Rate of false alarms to find thresholds for, per hour without attack."
     ),
     rescaled: bool = Option(
         False, "--rescaled", help="Scale innovations to the filter's variance, for cumulative sums."
     ),
     hold_out: int | None = Option(
-        None, min=1, max=opt.LARGEST_RUNS, help="Count alarms on so many fresh runs."
+        None, min=1, max=opt.LARGEST_RUNS, help="Count alarms on this many fresh runs."
     ),
     transfer: list[str] | None = Option(
         None,

@@ -37,11 +37,12 @@ def dataset(
     ),
     task: str | None = Option(
         None,
-        help="World of a task, S1 to S3 or T1 to T6; its detector. Attacks decide at every epoch.",
+        help="Task whose world and detector are taken, S1 to S3 or T1 to T6. Attacks decide at "
+        "every epoch.",
     ),
     detector: str | None = Option(
         None,
-        help="Passive detector whose statistic attacks by feedback see. Default: the task's; "
+        help="Passive detector whose statistic the feedback attacks see. Default: the task's; "
         f"without a detector there are no such attacks. {opt.SPEC_HELP}",
     ),
     term: list[str] | None = Option(

@@ -17,8 +17,8 @@ def game(
     task: str = Option(help="Task whose world and alert limit are taken, S1 to S3 or T1 to T6."),
     payoff: str = Option(
         "stealth",
-        help="What a run is worth: `stealth`, the undetected displacement in parts of the "
-        "alert limit, 0 after an alarm; or `hmi`, whether it exceeds the limit.",
+        help="What a run is worth: `stealth`, the undetected displacement over the alert "
+        "limit, at most 1, and 0 after an alarm; or `hmi`, 1 where it exceeds the limit.",
     ),
     limit_m: float | None = Option(None, help="Alert limit, in m. Default: that of the task."),
     budget: opt.Budget = "standard",

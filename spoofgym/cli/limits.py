@@ -21,7 +21,7 @@ def limits(
     task: opt.Task = None,
     detector: list[str] | None = Option(
         None,
-        help="Detector whose zero-alarm bound is wanted, may be repeated; `all` for all that "
+        help="Detector to compute the zero-alarm bound of, may be repeated; `all` for all that "
         f"suit the victim. Default: none. {opt.SPEC_HELP}",
     ),
     spoofer: str | None = Option(
@@ -50,7 +50,7 @@ def limits(
         0.05, help="Alarm budget of a stealthy attack, on top of the false alarms."
     ),
     nominal: bool = Option(
-        False, "--nominal", help="Bounds of detectors with thresholds as published."
+        False, "--nominal", help="Compute the bounds of detectors at the published thresholds."
     ),
     threads: opt.Threads = None,
 ) -> None:
@@ -60,7 +60,8 @@ def limits(
     world, unless --set domain=... says otherwise, and detectors are calibrated to one rate of false
     alarms.  A task has its own world and detectors.
 
-    Examples: `spoofgym limits` for the flight; `spoofgym limits --set domain={}` under its one sky;
+    Examples: `spoofgym limits` for the default world; `spoofgym limits --set domain={}` without
+    drawn skies, headings and onsets;
     `spoofgym limits --detector snapshot-chi2 --detector aime` with the bounds of two detectors;
     `spoofgym limits --task T3 --figure floor.png` for a task, with a picture.
 

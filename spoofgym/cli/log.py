@@ -25,7 +25,7 @@ Detectors = Annotated[list[str], Option(help=f"Detector, may be repeated. {opt.S
 Rate = Annotated[
     float | None,
     Option(
-        help="Take thresholds from this log's own windows, for so many false alarms an hour. "
+        help="Take thresholds from this log's own windows, for this many false alarms an hour. "
         "The log must be clean. Default: the thresholds that a detector has by itself."
     ),
 ]
@@ -134,7 +134,7 @@ def attack_(
     rate_limit_mps: float = Option(5.0, help="Largest rate of the false position."),
     spoofer: list[str] | None = Option(
         None,
-        help="Spoofer that plays as it is in place of the families, may be repeated; a .json "
+        help="Spoofer to play, unscaled, in place of these attacks, may be repeated; a .json "
         f"file, such as an audit writes, too. {opt.SPEC_HELP}",
     ),
     out: Path | None = Option(None, "--out", "-o", help="Picture, .png, .svg or .pdf."),
@@ -245,8 +245,8 @@ def import_log(
     ),
     as_json: opt.Json = False,
 ) -> None:
-    """Write a log of innovations: of an autopilot's log, or of raw measurements that a filter runs
-    over. Or convert such a log to its other form, table or matrices."""
+    """Write a log of innovations, from an autopilot's log or from raw measurements, over which a
+    filter then runs. Or convert such a log to its other form, table or matrices."""
     from ..receiver.autopilots import read_dataflash, read_ulog
     from ..receiver.log import InnovationLog, check_written
     from ..receiver.raw_measurements import read_raw_log

@@ -26,8 +26,8 @@ def warmup(
 
     Every environment plays an episode, single and vector, and so does one with all detectors. It
     takes three to eight minutes of processor time. The compiled code is stored for all later
-    processes, until spoofgym or numba changes. Then `bench` and `limits` still compile for some
-    3 s, `demo` for less than 1 s.
+    processes, until spoofgym or numba changes. After a warmup `bench` and
+    `limits` still compile for some 3 s, `demo` for less than 1 s.
     """
     import gymnasium as gym
 

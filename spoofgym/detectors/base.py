@@ -93,8 +93,8 @@ class DetectorContext(NamedTuple):
     min_satellites : int
         Fewest satellites with which a tightly coupled filter updates; with fewer it coasts.
     inertial_states : int
-        How many of `states`, as far as there are, are of navigation, clock and inertial sensors.
-        The others are errors of signals, which move no other state.
+        How many of `states` are of navigation, clock and inertial sensors.  The others are errors
+        of signals, which move no other state.
     model : FilterModel or None
         What the designer of a receiver knows of the errors that he assumes, for a filter beside the
         victim's (`own_filter`): that of a tightly coupled receiver whose worlds have the same
@@ -143,7 +143,7 @@ class Detector(ABC):
         thresholds of its alarm, and of nothing else, so that up to the first alarm nothing depends
         on it.
     calibrates : bool
-        Whether thresholds scale its alarms at all; not that of a detector that never alarms.
+        Whether its alarms depend on thresholds; False for a detector that never alarms.
     has_nominal : bool
         Whether it has thresholds of its own, as published or on its card.
     draws : bool

@@ -276,8 +276,8 @@ class Calibration:
         exact = compute_rank(p, n)
         if self.bisected and exact not in self.ranks:
             raise ValueError(
-                f"the alarm of {self.detector['name']} is a state, whose scale is found by "
-                f"bisection, which was not done for {rate:g} false alarms an hour"
+                f"the alarm of {self.detector['name']} is a state: its scale comes from a "
+                f"bisection, and none was made for {rate:g} false alarms an hour"
             )
         # the largest rank that the file has, at most the exact one; 0 beyond the largest maximum
         rank = max((each for each in self.ranks if each <= exact), default=0)

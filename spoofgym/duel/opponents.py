@@ -97,7 +97,7 @@ class SpooferPool:
         if commands.setpoint_mps is not None and late:
             raise ValueError(
                 f"the spoofer {label_opponent(spec)!r} acts by set-points, which the acceleration "
-                "follows at every epoch: no pool with a `decision_interval_s` can have it"
+                "follows at every epoch: it can't be in a pool with a `decision_interval_s`"
             )
         self._commands.append(commands)
         # those of different commands differ in what they see of their own

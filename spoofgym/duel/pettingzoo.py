@@ -187,8 +187,8 @@ class DuelAEC(_Form, AECEnv[str, Observation, Observation]):
 class DuelParallel(_Form, ParallelEnv[str, Observation, Observation]):
     """Both act at once: the detector's decision on the last epoch is applied to the next one.
 
-    A step is an epoch.  Where the spoofer decides every n-th epoch only, its actions in between are
-    not looked at: ``infos["spoofer_0"]["decides"]`` says whether its next one is.  `settings` are
+    A step is an epoch.  Where the spoofer decides every n-th epoch only, its actions in between
+    have no effect: ``infos["spoofer_0"]["decides"]`` says whether its next one has.  `settings` are
     those of `duel_v0.parallel_env`.
     """
 

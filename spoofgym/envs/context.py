@@ -84,7 +84,7 @@ def apply_pace(setup: Setup, spoofer: Spoofer) -> Setup:
         raise ValueError(
             f"{name} decides every {every:g} s ({between} between), but this world every "
             f"{setup.decision_interval_s:g} s ({setup.between} between); without a "
-            "`decision_interval_s` of its own any spoofer can decide as it does"
+            "`decision_interval_s` of the world each spoofer keeps its own"
         )
     return setup
 
@@ -116,7 +116,7 @@ def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
     if fixed:
         warnings.warn(
             "the target direction is drawn for every episode (target_heading_deg='random'), but "
-            f"along a fixed heading push {', '.join(fixed)}; with heading_deg='{TARGET}' a "
+            f"{', '.join(fixed)} push along a fixed heading; with heading_deg='{TARGET}' a "
             "scripted spoofer follows the target direction",
             UserWarning,
             stacklevel=3,

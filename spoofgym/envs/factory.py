@@ -137,7 +137,7 @@ def compose(
         if not brings_detector(inner):
             raise ValueError(
                 f"two detectors are set at once: {inner.detector_setting!r} and {detector!r}; "
-                "one alone can be in the loop, others are passive"
+                "only one can be in the loop; give others by `watch`"
             )
         setup = setup.copy_with(detector=detector_in_world(detector, false_alarms_per_hour))
     if watch:

@@ -55,9 +55,9 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     **Start.** Zero command, after the warm-up.  An alarm in the warm-up is a false alarm, and shows
     in ``info["warmup_alarm"]``; nothing is drawn again for it.
 
-    **End.** `terminated` after the last command of the attack window (300 by default), or at an
-    alarm. `truncated` never, unless an end term does it: ``env.spec.max_episode_steps`` is one step
-    more than there can be.
+    **End.** `terminated` is set after the last command of the attack window (300 by default), or at
+    an alarm. Only an end term sets `truncated`: ``env.spec.max_episode_steps`` is one step more
+    than an episode can have.
 
     **Victim** ``"loosely-coupled"``. An airliner flies with a 15-state filter that is updated by
     positions of GNSS, ten a second, and whose noise tunes itself to the innovations. The spoofer
@@ -77,8 +77,8 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     The action is `Box(-1, 1, (4,), float32)`: rates of the counterfeit displacement north, east,
     down and of the counterfeit clock, over their limits (5 m/s by default). Rewards and ends are as
     above; it starts without a displacement. A fix of one epoch is as noisy as its pseudoranges: the
-    largest displacement of an idle spoofer is some metres, with few satellites many, and that is
-    the zero of this scale. The detector is ``srv-raim`` by default. Settings of its own are those
+    largest displacement of an idle spoofer is some metres, or many where satellites are few, so
+    compare others with that. The detector is ``srv-raim`` by default. Settings of its own are those
     of `SnapshotSetup`.
 
     **Victim** ``"wheeled-robot"``. A robot drives round a closed course. Encoders and yaw carry its
@@ -159,8 +159,8 @@ class SpoofEnv(CoreEnv[SpoofCore]):
         instead of the error less that at the onset, and an alarm costs nothing once the twin has
         alarmed.  It takes up to twice the time.
     warm_pool : int, optional
-        Start all episodes as copies of so many receivers that are at their onset, picked by the
-        seed of the episode, with fresh noise from then on; 0: each has a past of its own.  By
+        Number of receivers that are at their onset; every episode starts as a copy of one of them,
+        picked by its seed, with fresh noise from then on. 0: each has a past of its own.  By
         default 256 where the domain draws ages of which any is above five minutes, else 0.  For
         training alone: scores and calibration use every past once.  See `Engine`.
     render_mode : {"human", "rgb_array"}, optional
@@ -190,7 +190,7 @@ class SpoofEnv(CoreEnv[SpoofCore]):
     -----
     Ids: ``spoofgym/Zhong2025-v0``, ``spoofgym/LooselyCoupled-v0``, ``spoofgym/Snapshot-v0`` and
     ``spoofgym/WheeledRobot-v0`` have the defaults of this class, by victim.
-    ``spoofgym/TightlyCoupled-v0`` has the settings of task S1 below those that are given: drawn
+    ``spoofgym/TightlyCoupled-v0`` has the settings of task S1 unless others are given: drawn
     sky, heading and age, a decision every 10 s, and solution separation at 0.2 false alarms an
     hour; ``spoofgym/Offsets-v0`` is the same with offsets of all satellites for an action, by
     rates.  Version history: v0, the first.

@@ -466,7 +466,7 @@ def compute_frontier(
         if np.any(commands.idle):
             raise ValueError(
                 f"no floor is known for {setup.attack.label!r}: it changes the measurements when "
-                "it is commanded nothing, and the frontier is of what commands do"
+                "it is commanded nothing, and a floor counts only what commands do"
             )
         last = setup.steps - 1
         each = world_frontier(commands, victim, its_analyst.linear, its_analyst.coasting, last)

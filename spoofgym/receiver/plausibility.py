@@ -134,8 +134,7 @@ def _check_places(recording: PositionRecording) -> None:
     for k in np.flatnonzero(moved > FASTEST)[:1]:
         raise ValueError(
             f"`position_e` must move by at most {FASTEST:g} m/s, got {moved[k]:g} up to "
-            f"{time[k + 1]:g} s (which unit has it, or is it the mark of an absent one, which is "
-            "NaN here?)"
+            f"{time[k + 1]:g} s (what is its unit? An absent position must be NaN)"
         )
     for k in np.flatnonzero(speed > FASTEST)[:1]:
         raise ValueError(

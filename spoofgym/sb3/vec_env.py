@@ -73,8 +73,8 @@ class SpoofVecEnv(VecEnv):
         detector depend on the size of the batch: runs with such a one are then not reproducible;
         see `Engine`.
     torch_threads : int or None
-        Threads of torch, for the whole process; None leaves them as they are.  Two of them fought
-        with other threads over two processors at a seventieth of the speed of one.
+        Threads of torch, for the whole process; None leaves them as they are.  Two of them,
+        beside other threads on two processors, ran at a seventieth of the speed of one.
     seed : int, optional
         As ``seed(seed)`` before the first reset.
     infos : {"none", "all"} or sequence of str

@@ -46,8 +46,8 @@ def check_base(spoofer: Spoofer) -> None:
         if isinstance(each, Mapping) and each.get("name") == "residual":
             base = each.get("spoofer")
             raise ValueError(
-                f"the base {spoofer.label!r} corrects a base itself, and a policy corrects one "
-                f"alone: take that one, {base!r}"
+                f"the base {spoofer.label!r} corrects a base itself, and a policy corrects only "
+                f"one: take {base!r} itself as the base"
             )
 
 

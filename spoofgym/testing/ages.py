@@ -241,9 +241,9 @@ def check_ages(
 
     What `check_stationary` requires is required in flight.  64 tightly coupled receivers are
     switched on, their filters settle, and they are attacked 3, 10 and 30 min later, by ramps twice
-    as fast as those that are just found at 3 min.  So it finds a detector that takes its age from
-    the filter, too, as one does that was trained on attacks of one age.  The runs of the three ages
-    have the same seeds, skies and headings.
+    as fast as those that are just found at 3 min.  So it also finds a detector that reads its age
+    from the filter, as one that was trained on attacks of one age may do.  The runs of the three
+    ages have the same seeds, skies and headings.
 
     By default the world has white errors, which the filter models, and an epoch a second; that
     takes some 10 s.  In a world with other errors statistics may change while a filter settles, and

@@ -37,11 +37,12 @@ class AlarmSummary(NamedTuple):
     clean, attacked : int
         Episodes that are over.
     false_alarm : Estimate
-        Share of all episodes with an alarm before the first command, or without any.
+        Share of all episodes that have an alarm before the first command, or an alarm and no
+        command.
     false_alarms_per_hour : Estimate
         The rate of such alarms in the time without attack, monitored starts included [1/h].
     missed : Estimate
-        Share without an alarm of the attacked episodes that have no false alarm.
+        Of the attacked episodes that have no false alarm, the share without an alarm.
     delay_s : Estimate
         Mean time from the first command that is not zero to the alarm, where there is one [s].
     undetected_displacement_m : Estimate

@@ -130,17 +130,17 @@ def evaluate_wrapped(
 ) -> WrappedScore:
     """Score the detector that the wrappers of an environment make.
 
-    The runs are recorded without it, and then played through the wrappers, whose environment is
-    away meanwhile: an epoch a step, and nothing else in the information.  An episode begins at a
+    The runs are recorded without it.  Their epochs are then played through the wrappers, without
+    the environment: an epoch a step, and nothing else in the information.  An episode begins at a
     drawn moment of the monitored start, the attack some time later, as with ``onset="within"`` in
     the duel, so that it is of no use to count steps.  A wrapper that gives ``statistic`` and
-    ``threshold`` is calibrated on as many clean runs of their own: it alarms where their ratio
-    exceeds a factor.  One that gives ``alarm`` alone has the rate that it has.
+    ``threshold`` is calibrated on as many separate clean runs: it alarms where the ratio of the two
+    exceeds a factor.  One that gives ``alarm`` alone keeps its own rate.
 
     Wrappers play in this process, which holds the truth: score only those that you trust.
 
-    An alarm counts where no alarm was before the onset, and none at all in the same run without
-    the attack; else the run is one without a detector.
+    An alarm counts where no alarm was before the onset, and none at all in the same run without the
+    attack; else the run counts as one without a detector.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ class OutsideDetector:
         inner = composable(env)
         made, setup = detector_in_world(detector, false_alarms_per_hour), inner.core.setup
         if made.judges:
-            raise ValueError("a pool draws a member for every episode, in the loop alone")
+            raise ValueError("a pool draws its members only in the loop: take `DetectorWrapper`")
         if weighs(setup, made):
             raise ValueError(
                 f"{detector!r} de-weights measurements, which needs the loop: take "

@@ -53,9 +53,9 @@ class Recorder:
             )
         if setup.detector.calibrates or setup.detector.judges:
             raise ValueError(
-                f"{type(setup.detector).__name__} is in the loop, and what is scored is outside: "
-                "make the environment with detector='never'. What is in the loop is scored by "
-                "`spoofgym.audit`"
+                f"{type(setup.detector).__name__} is in the loop, and the scored detector is "
+                "outside: make the environment with detector='never'. `spoofgym.audit` scores a "
+                "detector in the loop"
             )
         if not setup.live:
             raise ValueError("an onset within needs a monitored start: give the timeline `live_s`")

@@ -78,9 +78,9 @@ def test_a_good_entry_holds_and_a_false_figure_is_named(player, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"files": {}}, "must have the digest of mine.py in `files`"),
+        ({"files": {}}, "must have the digest of mine.py"),
         ({"files": {"mine.py": "0" * 64}}, "mine.py is another file than entry.json says"),
-        ({"suite": "spoofgym-bench-v7"}, "is of the suite 'spoofgym-bench-v7', D1 of "),
+        ({"suite": "spoofgym-bench-v7"}, "not 'spoofgym-bench-v7': audit again"),
         ({"figures": {"p_hmi": "good"}}, "entry.json: `figures.p_hmi"),
         ({"figures": {}}, "`figures`: Dictionary should have at least 1 item"),
         ({"name": "../up"}, "`name`: String should match pattern"),

@@ -145,7 +145,7 @@ def test_whether_a_spoofer_fits_is_told_before_anything_is_played(judge, monkeyp
         ("ramp", {"largest_amplitude": 1e4}, "`largest_amplitude` is for models"),
         (constant(), {"largest_amplitude": 1e-3}, "above 0.001, got 0.001"),
         (constant(), {"largest_amplitude": 1e4, "amplitude": 1.0}, "is for `amplitude='fitted'`"),
-        (make_spoofer({"name": "step", "amplitude": 0.5}), {}, "amplitude already, 0.5"),
+        (make_spoofer({"name": "step", "amplitude": 0.5}), {}, "has the amplitude 0.5 already"),
     ],
 )
 def test_what_is_no_spoofer_is_refused(judge, policy, settings, message):

@@ -79,6 +79,22 @@ def test_the_stored_floor_of_a_task_is_not_computed_again(tmp_path, monkeypatch)
     assert floor["assumptions"][0] in list_limit_notes(found)[-1]
 
 
+def test_a_stored_curve_is_fitted_and_not_searched_again(tmp_path, monkeypatch):
+    monkeypatch.setattr("spoofgym.bench.search.open_loop.search_aims", None)
+    spoofer = {"name": "open-loop", "amplitude": "tuned"}
+    curves = {"snapshot-chi2": [0.0, 1.0, 2.0]}
+    detectors = ({"name": "snapshot-chi2", **NOMINAL},)
+    played = small_suite(detectors=detectors, spoofers=(spoofer,), curves=curves)
+    assert played.digest != small_suite(detectors=detectors, spoofers=(spoofer,)).digest
+    results = run_campaign(played, tmp_path, threads=1)
+    (cell,) = (x for x in summarize(results)["cells"] if x["spoofer"] != "none")
+    rates = np.array(cell["spoofer_settings"]["rates_mps"])
+    assert rates[2] == pytest.approx(2.0 * rates[1])
+    assert rates[0] == 0.0 < rates[1]
+    (row,) = summarize(results)["detectors"]
+    assert row["bracket"]["open_loop"]["by"] == "the task's stored search"
+
+
 def test_an_unknown_figure_of_a_spoofer_is_refused_before_anything_plays(tmp_path, monkeypatch):
     monkeypatch.setattr("spoofgym.cli.audit.calibrate_suite", None)
     entry = {"format": 1, "suite": "spoofgym-bench-v1", "task": "D1", "side": "spoofer"}

@@ -111,7 +111,7 @@ def test_an_alarm_that_is_a_state_is_bisected_to_its_rate(setup, calibrated):
     assert found.bisected
     point, both = found.point(RATE), calibrated[3]
     assert both.point(3.0 * RATE).scale <= point.scale == both.point(RATE).scale
-    with pytest.raises(ValueError, match="is a state, whose scale is found by bisection, which"):
+    with pytest.raises(ValueError, match="is a state: its scale comes from a bisection, and"):
         found.point(2.0 * RATE)
     scales = (point.scale, 0.97 * point.scale)
     charts = [make_detector({**CHART, "threshold_scale": scale}) for scale in scales]

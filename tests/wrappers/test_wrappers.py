@@ -212,7 +212,7 @@ def test_what_can_not_be_scored_is_refused():
     assert spoofgym.evaluate_wrapped is evaluate_wrapped
     with pytest.raises(ValueError, match="has no epochs: make the environment with epoch=True"):
         evaluate_wrapped(CountsSteps(bare()))
-    with pytest.raises(ValueError, match="in the loop, and what is scored is outside"):
+    with pytest.raises(ValueError, match="in the loop, and the scored detector is outside"):
         evaluate_wrapped(CountsSteps(EpochInfo(bare(detector={"name": "shewhart"}))))
     with pytest.raises(ValueError, match=r"neither info.'alarm'. nor"):
         evaluate_wrapped(Wrong(EpochInfo(bare(), ())), 2)

@@ -98,14 +98,14 @@ def audit(
     task : str or DetectorTask
         ``"D1"`` to ``"D3"``, ``"v1/D1"`` to ``"v1/D4"``, or one of your own.
     budget : {"standard", "quick", "full"}
-        Size of all that is played: some 3, 1 or 12 minutes of a processor for a plain detector in
+        Size of all that is played: some 4, 1 or 12 minutes of a processor for a plain detector in
         D1.
     progress : callable, optional
         Opens a bar, such as `spoofgym.core.progress.show_progress`; by default that one where
         stderr is a terminal.
     log : InnovationLog or path-like, optional
-        Log of a receiver, on whose clean windows it plays in place of a task; thresholds are those
-        of its own windows.  Of the settings it has ``families``, ``threads`` and ``folder``.
+        Log of a receiver.  Its clean windows are played in place of a task, with thresholds from
+        these windows.  Of the settings it has ``families``, ``threads`` and ``folder``.
     **settings
         ``runs`` and ``selection_runs``: evaluation runs of every family, which decide nothing, and
         runs that its attacks are chosen on; by default those of the budget.  ``families``: keys of

@@ -63,7 +63,7 @@ BUDGETS = {
     "standard": AuditBudget(400, 96, OpenLoopSearch(runs=256), 64, 5, 4),
     "full": AuditBudget(1500, 384, OpenLoopSearch(), 192, 5, None),
 }
-"""Sizes by their names: about 1, 3 and 12 minutes of a processor for a plain detector in D1."""
+"""Sizes by their names: about 1, 4 and 12 minutes of a processor for a plain detector in D1."""
 SEARCHED = "o"
 """Letter of a family whose profiles are looked for against each detector."""
 AGES_S, LIVE_AFTER_S = (30.0, 180.0, 600.0, 1800.0, 5400.0), 10.0

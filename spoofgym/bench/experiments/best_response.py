@@ -324,7 +324,7 @@ def upper_end(game: Game, mix: Mixture) -> tuple[float | None, str]:
     member has no bound; and `why`, bounds by member, or which is missing and why."""
     setup = game.setup
     if mix.side != DETECTOR:
-        raise ValueError(f"a mix of detectors has bounds, got one of {mix.side}s")
+        raise ValueError(f"only a mix of detectors has bounds, got one of {mix.side}s")
     if not isinstance(setup, TightlyCoupledSetup):
         return None, f"no bound is known for {setup.whose}"
     cases, total, words = draw_worlds(setup, WORLDS, game.seeds[0]), 0.0, []

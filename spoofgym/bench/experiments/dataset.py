@@ -184,8 +184,8 @@ class Plan(Experiment):
         # whatever its thresholds, which may still be to be calibrated
         if any(weighs(self.setup, each) for each in inner_detectors(self.judge)):
             raise ValueError(
-                "the detector that feedback sees must be passive, since the receiver that learns "
-                f"has another one in its place, but {self.detector!r} de-weights"
+                "the detector that feedback sees must be passive, since the learned detector takes "
+                f"its place, but {self.detector!r} de-weights"
             )
         self.attacks  # noqa: B018  # or what is wrong with a spoofer
 

@@ -84,10 +84,10 @@ class Entry(Record):
         suite = get_detector_task(entry.task).suite
         if entry.suite != suite:
             raise ValueError(
-                f"{path} is of the suite {entry.suite!r}, {entry.task} of {suite!r}: audit it again"
+                f"{path}: {entry.task} is of the suite {suite!r}, not {entry.suite!r}: audit again"
             )
         for name in sorted(list_player_files(entry.player) - {*entry.files}):
-            raise ValueError(f"{path} must have the digest of {name} in `files`, which it plays")
+            raise ValueError(f"`files` of {path} must have the digest of {name}, which it plays")
         for name, digest in entry.files.items():
             if not (folder / name).is_file():
                 raise ValueError(f"{path} names the file {name}, which is not in {folder}")

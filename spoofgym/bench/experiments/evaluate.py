@@ -190,7 +190,7 @@ def evaluate(
     progress: ProgressCallback | None = None,
     **world: Any,
 ) -> SpooferScore:
-    """Score a spoofer by the rule of the benchmark, on runs that the call decides nothing on.
+    """Score a spoofer by the rule of the benchmark.
 
     A policy that is shipped, or another one in a file, may have been chosen with these very runs in
     view; its card says so (``decided_on``, `spoofgym list`).  Then take another `entropy`.
@@ -209,7 +209,7 @@ def evaluate(
     task : str, optional
         ``"S1"`` to ``"S3"``, or ``"T1"`` to ``"T6"``.
     runs : int
-        Evaluation runs, which decide nothing.
+        Evaluation runs. By the rule ``"exact"`` they decide the amplitude, else nothing.
     fit_runs : int
         Training runs, on which an amplitude is fitted by the upper limit; at least 59, since fewer
         can't show that a budget of 5 % is met.  With more of them scores of other runs lie closer
@@ -231,7 +231,7 @@ def evaluate(
         the upper 95 % limit of the alarm rate keeps the budget on the training runs, a pass mark.
         By default exact, and the upper limit in the tasks of the first suite.
     entropy : int
-        Seed of all of them.
+        Seed of all runs.
     threads : int, optional
         Threads of the engine.
     progress : ProgressCallback, optional

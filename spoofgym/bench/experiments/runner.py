@@ -195,7 +195,7 @@ class _Plan:
         try:
             self._order.prepare()
         except CycleError as error:
-            raise ValueError(f"cells come after one another: {', '.join(error.args[1])}") from None
+            raise ValueError(f"cells wait for each other: {', '.join(error.args[1])}") from None
         self._tasks = {
             name: _Task(
                 tuple(cell for cell in tasks[name] if not store.has(cell)),

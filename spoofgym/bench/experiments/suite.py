@@ -141,6 +141,12 @@ class Suite:
     floor: Mapping[str, Any] | None = setting(
         default=None, help="Floor of the world as `find_stored_floor` has it; None to compute it."
     )
+    curves: Mapping[str, Sequence[float]] | None = setting(
+        default=None,
+        unit="m/s",
+        help="Rates at the knots of open-loop attacks, by the labels of the detectors that they "
+        "were found against; these are not searched again.",
+    )
 
     def __post_init__(self) -> None:
         _ = self.world  # which raises where a setting is not one of the victim's
@@ -219,7 +225,8 @@ class Suite:
     def optima(self, threads: int | None = None) -> Optima:
         """Searches for optimized open-loop attacks."""
         players, limit = self.spoofer_players, float(self.alert_limit_m)
-        return Optima(self.build_bounds(), self.tuning, players, threads, limit)
+        bounds = self.build_bounds()
+        return Optima(bounds, self.tuning, players, threads, limit, stored=self.curves)
 
     @cached_property
     def _points(self) -> dict[str, list[OperatingPoint]]:
@@ -277,6 +284,7 @@ class Suite:
             "alert_limits_m": list(ALERT_LIMITS_M),
             **({} if self.floor_worlds is None else {"floor_worlds": self.floor_worlds}),
             **({} if self.floor is None else {"floor": dict(self.floor)}),
+            **({} if self.curves is None else {"curves": dict(self.curves)}),
             "notes": [*self.notes, *self.captions, *seeing, *self.left_out, *unknown],
         }
 

@@ -39,8 +39,9 @@ FAMILIES = Table(
     ("detector", "detector"),
 )
 HELD_OUT = (
-    "* held out: no detector may be trained on it. Each interval is that of one family; above, the "
-    "worst family is looked for again in every draw, which may make the interval another one."
+    "* held out: no detector may be trained on it. Each interval is that of one family; in the "
+    "summary the worst family is picked again in every resample, so that its interval may differ. "
+    "Attacks are chosen for each family apart, and families differ for that reason, too."
 )
 BENIGN = (
     "Public families are those not held out. False alarms are those in the judged window; the last "
@@ -266,7 +267,7 @@ def list_score_pictures(
     if probed := [each for each in records if "ages" in each]:
         rates = probed[0]["ages"]["rate_mps"]
         caption = (
-            f"The same {len(rates)} plain ramps of {min(rates):.2g} to {max(rates):.2g} m/s in the "
+            f"The same {len(rates)} fixed ramps of {min(rates):.2g} to {max(rates):.2g} m/s in the "
             "same runs, begun at each of these times, with 95 % intervals. Attacks that are chosen "
             "against the detector may be missed more often."
         )

@@ -152,7 +152,7 @@ class Mixture:
         takes it, of spoofers ``pool`` and ``weights`` as `DetectorView` takes them."""
         nameless = [each.label for each in self.members if each.spec is None]
         if nameless:
-            raise TypeError(f"{', '.join(nameless)}: an object, which no text describes")
+            raise TypeError(f"{', '.join(nameless)}: an object has no name and settings")
         members, weights = [each.spec for each in self.members], list(self.weights)
         if self.side == DETECTOR:
             return {"name": "pool", "members": members, "weights": weights}
@@ -277,7 +277,7 @@ def specify_policy(
         spoofer = ModelPolicy(policy, label=label, **known)
     name = str(spoofer.label or type(spoofer).__name__)
     if isinstance(spoofer, Scaled) and amplitude is not None:
-        raise ValueError(f"{name} has an amplitude already, {spoofer.amplitude:g}: give None")
+        raise ValueError(f"{name} has the amplitude {spoofer.amplitude:g} already: give None")
     if not fits and amplitude is not None:
         spoofer = Scaled(spoofer, float(amplitude))
     tuned = AMPLITUDE if fits and spoofer.transmits else None

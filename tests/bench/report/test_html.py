@@ -69,7 +69,7 @@ def test_a_page_loads_nothing_and_its_bytes_follow_from_the_results(results, pag
         "Undetected displacement",
         "Displacement against time",
         "P(HMI) against alert limit",
-        "The worst run, played again",
+        "A run of the worst attack, played again",
         "What was run",
         "Terms",
     ):
