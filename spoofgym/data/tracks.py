@@ -48,17 +48,8 @@ TIME_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns"
 REQUIRED = ("latitude", "longitude", "altitude")
 POSITION_TIME = ("last_position", "lastposupdate", "position_time", "time_position")
 AIRCRAFT = (
-    "icao24",
-    "hex",
-    "icao",
-    "icao_address",
-    "aircraft",
-    "fr24_id",
-    "fa_flight_id",
-    "flight_id",
-    "callsign",
-    "flight",
-    "registration",
+    *("icao24", "hex", "icao", "icao_address", "aircraft", "fr24_id", "fa_flight_id"),
+    *("flight_id", "callsign", "flight", "registration"),
 )
 QUANTITIES: dict[str, dict[str, float]] = {
     "latitude": dict.fromkeys(("latitude", "lat"), 1.0),
@@ -78,15 +69,8 @@ QUANTITIES: dict[str, dict[str, float]] = {
     },
     "track": dict.fromkeys(
         (
-            "track",
-            "true_track",
-            "track_angle",
-            "course",
-            "direction",
-            "trk",
-            "trak",
-            "heading",
-            "hd",
+            *("track", "true_track", "track_angle", "course", "direction", "trk", "trak"),
+            *("heading", "hd"),
         ),
         1.0,
     ),
@@ -120,17 +104,11 @@ BASE_STATION = (  # values of a line of dump1090 on port 30003, which has no hea
 COLUMNS = {"date", *TIME, *POSITION_TIME, *AIRCRAFT, "position"}.union(*QUANTITIES.values())
 """All names that a column of a track may have, but for units."""
 NESTS = ("result", "response", "data", "flight")  # keys of what holds rows further down
-ROWS = (
+ROWS = (  # keys of rows
     *NAMELESS,
-    "aircraft",
-    "ac",
-    "aclist",
-    "tracks",
-    "track",
-    "trail",
-    "positions",
+    *("aircraft", "ac", "aclist", "tracks", "track", "trail", "positions"),
     *NESTS,
-)  # keys of rows
+)
 MEANT = ("feet", "kts", "fpm")  # of a value that is given in several units
 DAYS = (20_000.0, 800_000.0)  # of spreadsheets, from 1900 on, and of MATLAB, from the year 0 on
 RANGES = {  # valid values by quantity; beyond what ADS-B can say where that is bounded
