@@ -40,9 +40,11 @@ def play(words: list[str], folder: str) -> tuple[dict[str, Any], list[str]]:
         text=True,
     )
     assert process.stdout is not None
-    printed = process.stdout.read().splitlines()
+    with process.stdout as stdout:
+        printed = stdout.read().splitlines()
     _, status, used = os.wait4(process.pid, 0)
-    if status:
+    process.returncode = os.waitstatus_to_exitcode(status)  # it can't be waited for again
+    if process.returncode:
         raise SystemExit(f"{shlex.join(words)!r} failed")
     took = {"cpu_s": round(used.ru_utime + used.ru_stime, 1), "memory_mb": used.ru_maxrss // 1024}
     return took, printed

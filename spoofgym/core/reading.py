@@ -29,6 +29,13 @@ if TYPE_CHECKING:
     import pandas
 
 GZIP_MAGIC = b"\x1f\x8b"
+OTHER_MAGIC = {  # first bytes of what other programs pack
+    b"\x1f\x9d": "compress (`gzip -d` unpacks it)",
+    b"PK\x03\x04": "zip, as spreadsheets and KMZ files are",
+    b"BZh91AY&SY": "bzip2",
+    b"\xfd7zXZ\0": "xz",
+    b"\x28\xb5\x2f\xfd": "zstd",
+}
 LARGEST_SIZE = 64 * 2**20  # of a file, unpacked [bytes]: twice a day of records once a second
 LARGEST_TOML = 2**18  # [bytes]
 LARGEST_ARCHIVE = 2**30  # of all members of a zip file, unpacked [bytes]
@@ -76,6 +83,8 @@ def read_file(path: Path, most: int | None = None) -> bytes:
 def read_lines(path: Path) -> bytes:
     """Content of a file of text, of at most `MOST_LINES` lines."""
     content = read_file(path)
+    if name := next((x for magic, x in OTHER_MAGIC.items() if content.startswith(magic)), None):
+        raise FileError(f"{path} is packed by {name}: unpack it first, only gzip is read packed")
     if (lines := max(content.count(b"\n"), content.count(b"\r"))) > MOST_LINES:
         raise FileError(f"{path} must have at most {MOST_LINES:,} lines, got {lines:,}")
     return content

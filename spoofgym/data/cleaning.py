@@ -20,10 +20,13 @@ from ..core.registry import require
 from ..earth.wgs84 import EQUATORIAL_RADIUS, geodetic_to_ecef
 from .made_good import (
     COURSE_TOLERANCE,
+    DISTINCT,
     LARGEST_GAP_S,
     LONG_CHORD_S,
+    SPEED_TOLERANCE,
     GroundTrack,
     compute_ground_track,
+    find_lasting,
     find_mistaken_altitude,
     find_mistaken_course,
     find_mistaken_speed,
@@ -36,7 +39,8 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 INTERPOLATION_TOLERANCE = 0.5  # from the line between its neighbours, of an interpolated fix [m]
 STALE_SHARE = 0.1  # rejected share of a run of one value above which the whole run counts as stale
-HIGHEST_SPEED = 350.0  # highest speed believed between two fixes [m/s]
+HEIGHT_ERROR = 300.0  # largest error of an altitude that is believed [m]
+HIGHEST_SPEED, HIGHEST_CLIMB = 350.0, 60.0  # highest speeds believed between two fixes [m/s]
 AIRBORNE_SPEED = 60.0 * KNOT  # speed over ground above which a fix counts as airborne [m/s]
 DEFAULT_DURATION_S = 600.0  # duration of a track where none is requested [s]
 
@@ -118,15 +122,19 @@ def isolated_outliers(time: Floats, value: Floats, allowance: float, acceleratio
     return off
 
 
-def broken_links(time: Floats, position_e: Floats) -> Mask:
+def broken_links(time: Floats, position_e: Floats, altitude: Floats) -> Mask:
     """(n-1,) which fixes don't lead on to the next: gaps, and jumps that last."""
     interval = np.diff(time)
-    distance = np.linalg.norm(np.diff(position_e, axis=0), axis=1)
     broken = interval > LARGEST_GAP_S
-    broken |= distance > 5.0 * POSITION_SD + HIGHEST_SPEED * interval
-    for index in np.flatnonzero(_excess(time, position_e, 5.0 * POSITION_SD, 10.0) > 1.0):
-        faster = distance[index] / interval[index] > distance[index - 1] / interval[index - 1]
-        broken[index if faster else index - 1] = True
+    for value, allowance, highest in (
+        (position_e, 5.0 * POSITION_SD, HIGHEST_SPEED),
+        (altitude[:, None], HEIGHT_ERROR, HIGHEST_CLIMB),
+    ):
+        distance = np.linalg.norm(np.diff(value, axis=0), axis=1)
+        broken |= distance > allowance + highest * interval
+        for index in np.flatnonzero(_excess(time, value, allowance, 10.0) > 1.0):
+            faster = distance[index] / interval[index] > distance[index - 1] / interval[index - 1]
+            broken[index if faster else index - 1] = True
     return broken
 
 
@@ -145,6 +153,16 @@ def stale_runs(value: Floats, wrong: Mask) -> Mask:
     run = np.cumsum(np.diff(value, prepend=value[:1]) != 0.0)
     share = np.bincount(run, wrong) / np.maximum(np.bincount(run), 1)
     return np.asarray(np.isfinite(value) & (share[run] > STALE_SHARE))
+
+
+def stale_speeds(time: Floats, groundspeed: Floats, made: GroundTrack) -> Mask:
+    """All speeds [m/s], where they are of one value or two, and positions move otherwise."""
+    used = np.isfinite(groundspeed) & (groundspeed > 0.0) & made.straight
+    if np.unique(groundspeed[used]).size >= DISTINCT:
+        return np.zeros(time.size, dtype=np.bool_)
+    off = np.log(made.speed[used] / groundspeed[used])
+    lasting = find_lasting(time[used], off, SPEED_TOLERANCE)
+    return np.isfinite(groundspeed) & (lasting is not None)
 
 
 def resolved_courses(track_deg: Floats, course: Floats) -> tuple[Floats, Mask]:
@@ -348,7 +366,7 @@ def _distinct_fixes(raw: RawTrack, counts: dict[str, int], drop_interpolated: bo
 
 
 def _without_outliers(fixes: _Fixes, counts: dict[str, int]) -> _Fixes:
-    off = isolated_outliers(fixes.time, fixes.altitude[:, None], 300.0, 10.0)
+    off = isolated_outliers(fixes.time, fixes.altitude[:, None], HEIGHT_ERROR, 10.0)
     counts["height_outliers"] = int(off.sum())
     fixes = fixes[~off]
     off = isolated_outliers(fixes.time, fixes.position_e, 5.0 * POSITION_SD, 10.0)
@@ -371,11 +389,11 @@ def _trusted_velocities(name: str, fixes: _Fixes, counts: dict[str, int]) -> tup
         swapped = compute_ground_track(fixes.time, fixes.longitude, fixes.latitude, LONG_CHORD_S)
     reported = fixes.groundspeed.copy()
     wrong = contradicting_speeds(fixes.groundspeed, made)
-    wrong |= stale_runs(fixes.groundspeed, wrong)
+    wrong |= stale_runs(fixes.groundspeed, wrong) | stale_speeds(fixes.time, reported, seen)
     fixes.groundspeed[wrong] = np.nan
     angle, unwrapped = resolved_courses(fixes.track_deg, made.course)
     _refuse(name, find_mistaken_course(fixes.time, fixes.track_deg, angle, seen, swapped))
-    _refuse(name, find_mistaken_speed(reported, seen, swapped))
+    _refuse(name, find_mistaken_speed(fixes.time, reported, seen, swapped))
     rejected = np.isfinite(fixes.track_deg) & np.isnan(angle)
     rejected |= stale_runs(fixes.track_deg, rejected)
     angle[rejected] = np.nan
@@ -393,7 +411,9 @@ def _airborne_stretches(
 ) -> list[tuple[int, int]]:
     """Stretches in the air and without a gap, longest first; at least one."""
     airborne = (speed > AIRBORNE_SPEED) & (fixes.altitude > 0.0)
-    found = stretches(fixes.time, broken_links(fixes.time, fixes.position_e), airborne)
+    found = stretches(
+        fixes.time, broken_links(fixes.time, fixes.position_e, fixes.altitude), airborne
+    )
     found = [(first, last) for first, last in found if last - first + 1 >= MINIMUM_FIXES]
     counts.update(grounded=int((~airborne).sum()), stretches=len(found))
     if not found:
@@ -431,10 +451,8 @@ def _explain_none(fixes: _Fixes, speed: Floats, counts: dict[str, int]) -> str:
         ),
     ]
     found = [words for mask, words in reasons if mask.size and mask.mean() >= 0.5]
-    others = (
-        f"{slow.sum()} slow and {low.sum()} low fixes, {far.sum()} gaps, and jumps between them"
-    )
-    return "; ".join(found) or others
+    others = f"{slow.sum()} slow and {low.sum()} low fixes, {far.sum()} gaps"
+    return "; ".join(found) or f"{others}, and jumps of place or altitude between them"
 
 
 def _chosen_stretch(

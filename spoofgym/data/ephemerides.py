@@ -265,7 +265,7 @@ class BroadcastConstellation:
             raise ValueError(
                 f"`start` must be within {VALIDITY / 3600.0:g} h of a healthy record; they are of "
                 f"{_calendar(toe.min())} to {_calendar(toe.max())}, got {self.start!r}, which is "
-                f"{_calendar(self.start)}"
+                f"{_calendar(self.start)}: give a file of that time"
             )
 
     @cached_property

@@ -82,10 +82,11 @@ def compute_ground_track(
 
 
 def find_mistaken_speed(
-    reported: Floats, made: GroundTrack, swapped: GroundTrack | None
+    time: Floats, reported: Floats, made: GroundTrack, swapped: GroundTrack | None
 ) -> str | None:
     """The unit that most groundspeeds [m/s] are in, where it is not the one that they are taken
-    for, in words; or that `swapped` latitude and longitude agree with them alone."""
+    for, in words; that `swapped` latitude and longitude agree with them alone; or that they are
+    other speeds."""
     used = np.isfinite(reported) & (reported > 0.0) & made.straight
     if used.sum() < FEWEST:
         return None
@@ -105,6 +106,13 @@ def find_mistaken_speed(
         return (
             f"the positions move {middle:.3g} times as fast as the groundspeeds say: are these, or "
             "the times, in another unit?"
+        )
+    lasting = None if stale else find_lasting(time[used], np.log(ratio), SPEED_TOLERANCE)
+    if lasting is not None:
+        low, high = np.exp([lasting.min(), lasting.max()])
+        return (
+            f"groundspeeds seem to be airspeeds: the positions move {low:.2f} to {high:.2f} times "
+            "as fast, by the minute (without their column, speeds follow from the positions)"
         )
     return None
 
@@ -153,23 +161,28 @@ def find_mistaken_course(
 
 def _find_drift(time: Floats, resolved: Floats, made: GroundTrack) -> str | None:
     straight = np.isfinite(resolved) & np.isfinite(made.course) & made.straight
-    off = wrap(resolved - made.course)[straight]
-    block = (time[straight] // BLOCK_S).astype(np.int64)
-    blocks = [off[block == each] for each in np.unique(block)]
-    blocks = [each for each in blocks if each.size >= 5]
-    if sum(map(len, blocks)) < FEWEST:
-        return None
-    lasting = np.array([np.median(each) for each in blocks])
-    noise = np.array(
-        [np.median(np.abs(x - m)) / math.sqrt(x.size) for x, m in zip(blocks, lasting, strict=True)]
-    )
-    clear = np.abs(lasting) > DRIFT + 4.0 * noise
-    if clear.mean() < 0.5:
+    lasting = find_lasting(time[straight], wrap(resolved - made.course)[straight], DRIFT)
+    if lasting is None:
         return None
     return (
         "courses seem to be headings: the positions drift from them by "
         f"{math.degrees(float(np.median(np.abs(lasting)))):.0f} deg in the median"
     )
+
+
+def find_lasting(time: Floats, off: Floats, least: float) -> Floats | None:
+    """What differences `off` are in the median of every minute, where it is clearly beyond `least`
+    in at least half of them. Those within a chord of each other are not independent."""
+    length = max(BLOCK_S, 6.0 * float(np.median(np.diff(time)))) if time.size > 1 else BLOCK_S
+    block = (time // length).astype(np.int64)
+    blocks = [each for k in np.unique(block) if (each := off[block == k]).size >= 5]
+    if sum(map(len, blocks)) < FEWEST:
+        return None
+    lasting = np.array([np.median(each) for each in blocks])
+    spread = np.array(
+        [np.median(np.abs(x - m)) for x, m in zip(blocks, lasting, strict=True)]
+    ) / math.sqrt(min(5.0, length / LONG_CHORD_S))
+    return lasting if (np.abs(lasting) > least + 4.0 * spread).mean() >= 0.5 else None
 
 
 def find_mistaken_altitude(

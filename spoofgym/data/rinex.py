@@ -32,7 +32,6 @@ from .ephemerides import BEIDOU_LAG, ORBIT_FIELDS, SECONDS_PER_WEEK, Ephemerides
 
 _LOGGER = logging.getLogger(__name__)
 
-COMPRESS_MAGIC = b"\x1f\x9d"
 HEADED = re.compile(r".{60}[A-Z /#]*[A-Z]{3}")  # a line of a header, by its label
 FIELD_WIDTH = 19
 LINES_PER_RECORD = 8
@@ -182,25 +181,28 @@ def read_text(path: Path) -> list[str]:
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")
     content = read_lines(path).removeprefix(BOM).rstrip(b"\0\x1a\r\n")
-    if content.startswith(COMPRESS_MAGIC):
-        raise FileError(f"{path} is compressed by `compress`; unpack it first (`gzip -d` does)")
     return content.decode("ascii", errors="replace").splitlines()
 
 
 def check_version(line: str, path: Path, valid: tuple[int, ...]) -> int:
     """Version that the first line of a RINEX file names."""
     if line[60:80].rstrip() != "RINEX VERSION / TYPE":
-        raise FileError(f"{path} is not a RINEX file: it begins with {line[:80]!r}")
+        raise FileError(
+            f"{path} is not a RINEX file, valid are versions {_join(valid)}: it begins with "
+            f"{line[:80]!r}"
+        )
     try:
         version = int(float(line[:9]))
     except (ValueError, OverflowError):
         raise FileError(f"{path} has no RINEX version, got {line[:9]!r}") from None
     if version not in valid:
-        *most, last = map(str, valid)
-        raise FileError(
-            f"{path} is of RINEX version {line[:9].strip()}, valid are {', '.join(most)} and {last}"
-        )
+        raise FileError(f"{path} is of RINEX version {line[:9].strip()}, valid are {_join(valid)}")
     return version
+
+
+def _join(versions: tuple[int, ...]) -> str:
+    *most, last = map(str, versions)
+    return f"{', '.join(most)} and {last}"
 
 
 def _blank_other_frames(lines: list[str], others: Counter[str]) -> list[str]:

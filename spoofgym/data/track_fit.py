@@ -295,6 +295,7 @@ def _solve(rows: list[csr_array], values: list[Floats]) -> Floats:
 
 LOAD_LIMITS = (0.3, 2.5)  # normal load factors of a flight [g], the larger one of EASA CS-25.337
 RATE_LIMIT = math.radians(20.0)  # largest body rate of a flight [rad/s]
+ELSEWHERE = "; --from and --duration choose another part"
 SLOWEST = 15.0  # smallest horizontal speed [m/s]; below, the velocity doesn't give the heading
 
 Floats = NDArray[np.float64]
@@ -366,7 +367,7 @@ def fit_track(track: Track, *, rate_hz: float = 100.0) -> tuple[Flight, FitRepor
     if speed < SLOWEST:
         raise ValueError(
             f"the speed must stay above {SLOWEST:g} m/s for a heading, got {speed:.1f} m/s "
-            f"{time[slowest]:.0f} s into {track.name!r}"
+            f"{time[slowest]:.0f} s into {track.name!r}{ELSEWHERE}"
         )
     roll, pitch, yaw = coordinated_attitude(velocity_n, path.acceleration(time))
     flight = flight_from_geodetic(
@@ -407,12 +408,13 @@ def _report(track: Track, path: SmoothPath, flight: Flight) -> FitReport:
             raise ValueError(
                 f"a fitted flight must lie within {LOAD_LIMITS[0]:g} and {LOAD_LIMITS[1]:g} g, "
                 f"got {load[sample]:.2f} g {flight.time[sample]:.1f} s into {track.name!r}"
+                f"{ELSEWHERE}"
             )
     if rate[sample := int(rate.argmax())] > RATE_LIMIT:
         raise ValueError(
             f"a fitted flight must turn by at most {math.degrees(RATE_LIMIT):g} deg/s, got "
             f"{math.degrees(rate[sample]):.1f} deg/s {flight.time[sample]:.1f} s into "
-            f"{track.name!r}"
+            f"{track.name!r}{ELSEWHERE}"
         )
     latitude, longitude, height = path.position(track.time)
     per_north, per_east = metres_per_radian(track.latitude, track.height)

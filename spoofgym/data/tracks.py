@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -41,23 +42,14 @@ FACTORS = {  # of the units that may end a column's name, in m, m/s and deg
 TIME = (
     *("timestamp", "time", "datetime", "utc", "timestamp_utc", "time_utc", "now", "ts", "snapshot"),
     *("snapshottime", "date_time", "unixtime", "epoch", "last_contact", "lastcontact"),
-    *("snapshot_id", "postime", "unix_time", "utc_time"),
+    *("snapshot_id", "postime", "unix_time", "utc_time", "event_time"),
 )
 TIME_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 REQUIRED = ("latitude", "longitude", "altitude")
 POSITION_TIME = ("last_position", "lastposupdate", "position_time", "time_position")
 AIRCRAFT = (
-    "icao24",
-    "hex",
-    "icao",
-    "icao_address",
-    "aircraft",
-    "fr24_id",
-    "fa_flight_id",
-    "flight_id",
-    "callsign",
-    "flight",
-    "registration",
+    *("icao24", "hex", "icao", "icao_address", "aircraft", "fr24_id", "fa_flight_id"),
+    *("flight_id", "callsign", "flight", "registration"),
 )
 QUANTITIES: dict[str, dict[str, float]] = {
     "latitude": dict.fromkeys(("latitude", "lat"), 1.0),
@@ -77,15 +69,8 @@ QUANTITIES: dict[str, dict[str, float]] = {
     },
     "track": dict.fromkeys(
         (
-            "track",
-            "true_track",
-            "track_angle",
-            "course",
-            "direction",
-            "trk",
-            "trak",
-            "heading",
-            "hd",
+            *("track", "true_track", "track_angle", "course", "direction", "trk", "trak"),
+            *("heading", "hd"),
         ),
         1.0,
     ),
@@ -119,17 +104,11 @@ BASE_STATION = (  # values of a line of dump1090 on port 30003, which has no hea
 COLUMNS = {"date", *TIME, *POSITION_TIME, *AIRCRAFT, "position"}.union(*QUANTITIES.values())
 """All names that a column of a track may have, but for units."""
 NESTS = ("result", "response", "data", "flight")  # keys of what holds rows further down
-ROWS = (
+ROWS = (  # keys of rows
     *NAMELESS,
-    "aircraft",
-    "ac",
-    "aclist",
-    "tracks",
-    "track",
-    "trail",
-    "positions",
+    *("aircraft", "ac", "aclist", "tracks", "track", "trail", "positions"),
     *NESTS,
-)  # keys of rows
+)
 MEANT = ("feet", "kts", "fpm")  # of a value that is given in several units
 DAYS = (20_000.0, 800_000.0)  # of spreadsheets, from 1900 on, and of MATLAB, from the year 0 on
 RANGES = {  # valid values by quantity; beyond what ADS-B can say where that is bounded
@@ -189,7 +168,9 @@ def read_track(
     kind = path.name.lower().removesuffix(".gz").rsplit(".", 1)[-1]
     require(
         kind in {"csv", "json", "jsonl", "ndjson", "parquet", "pq"},
-        f"`path` must end in .csv, .json, .jsonl or .parquet, got {path.name!r}",
+        "the file of a track must end in .csv, .json, .jsonl or .parquet, and then perhaps in .gz, "
+        f"got {path.name!r}: save its points as a table with columns for time, latitude, longitude "
+        "and altitude",
     )
     content = (read_file if kind in {"parquet", "pq"} else read_lines)(path)
     try:
@@ -395,9 +376,11 @@ def track_from_frame(
     frame = frame.rename(columns=_plain_name)
     names = f" below the columns {', '.join(frame.columns)[:80]}" * (frame.columns.size > 0)
     require(not frame.empty, f"a track must have rows, got none in {name!r}{names}")
-    frame = _join_date(_one_aircraft(_split_position(frame), aircraft))
+    frame = _join_date(_split_position(frame))
     used = {quantity: _find_column(frame, names) for quantity, names in QUANTITIES.items()}
     _check_columns(frame, used)
+    frame = _one_aircraft(frame, aircraft, str(used["latitude"] and used["latitude"][0]))
+    used = {quantity: _find_column(frame, names) for quantity, names in QUANTITIES.items()}
     time = _join_periods(_seconds(frame, TIME))
     position_time = _seconds(frame, POSITION_TIME)
     position_time[position_time == 0.0] = np.nan  # never heard
@@ -462,22 +445,26 @@ def _find_column(frame: pandas.DataFrame, names: Mapping[str, float]) -> tuple[s
     return next(iter(held or found), None)
 
 
-def _one_aircraft(frame: pandas.DataFrame, aircraft: str | None) -> pandas.DataFrame:
+def _one_aircraft(frame: pandas.DataFrame, aircraft: str | None, latitude: str) -> pandas.DataFrame:
     column = next((name for name in AIRCRAFT if name in frame), None)
     if column is None:
         require(aircraft is None, f"`aircraft` needs a column for it: {', '.join(AIRCRAFT)}")
         return frame
     names = frame[column].astype(str).str.strip().where(frame[column].notna(), "")
-    place = next((name for name in ("latitude", "lat") if name in frame), None)
-    if place is not None and frame.columns.is_unique:
-        names = names.where(frame[place].notna(), "")  # others are heard, and seen nowhere
-    found = [*{name.lower(): name for name in names.unique()[::-1] if name}.values()][::-1]
+    names = names.where(frame[latitude].notna(), "")  # others are heard, and seen nowhere
+    rows = Counter(names[names != ""].str.lower())
+    spelled = dict(zip(names.str.lower()[::-1], names[::-1], strict=True))
     same = names.str.lower() == str(aircraft).strip().lower()
-    if len(found) > 1 if aircraft is None else not same.any():
-        offered = f"{', '.join(found[:10])}{', ...' if len(found) > 10 else ''}"
+    if len(rows) > 1 if aircraft is None else not same.any():
+        require(
+            max(rows.values(), default=2) > 1,
+            f"a track must have rows of one aircraft over time, got one row each of {len(rows)}",
+        )
+        found = [spelled[name] for name, _ in rows.most_common(11)]
         got = "none" if aircraft is None else repr(aircraft)
         raise ValueError(
-            f"`aircraft` must be one of {offered}, got {got}; the command takes it by --aircraft"
+            f"`aircraft` must be one of {_list_some(found, 10)}, those of most rows first, got "
+            f"{got}; the command takes it by --aircraft"
         )
     return frame if aircraft is None else frame[same]
 
@@ -488,11 +475,15 @@ def _check_columns(frame: pandas.DataFrame, used: Mapping[str, tuple[str, float]
     wanted = {"time": TIME, **{key: (*QUANTITIES[key],) for key in REQUIRED}}
     there = {key for key, column in used.items() if column}
     there |= {"time" for name in _list_times(TIME) if name in frame}
-    if missing := [f"{key} ({', '.join(x)})" for key, x in wanted.items() if key not in there]:
+    if missing := [f"{key} ({_list_some(x, 4)})" for key, x in wanted.items() if key not in there]:
         raise ValueError(
             f"a track must have columns for {'; '.join(missing)}, got "
-            f"{', '.join(map(str, frame.columns))}"
+            f"{_list_some([*frame.columns], 20)}"
         )
+
+
+def _list_some(names: Sequence[Any], most: int) -> str:
+    return ", ".join([*(str(x)[:40] for x in names[:most]), *["..."] * (len(names) > most)])
 
 
 def _numbers(frame: pandas.DataFrame, column: tuple[str, float] | None) -> NDArray[np.float64]:

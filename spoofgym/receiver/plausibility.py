@@ -92,7 +92,14 @@ def check_measured(recording: AnyRecording, measured: Bools, variance: Floats) -
     visible = _split(measured)
     if isinstance(recording, PositionRecording):
         _check_places(recording)
-    elif visible.any():
+    elif not visible.any():
+        there = {name: bool(np.isfinite(getattr(recording, name)).any()) for name in MAY_BE_NAN}
+        require(
+            not any(there.values()) or all(there.values()),
+            "a channel is measured where all of its fields are, but "
+            f"{' and '.join(f'`{name}`' for name in there if not there[name])} is NaN everywhere",
+        )
+    else:
         _check_absent(recording, visible)
         _check_satellites(recording, visible)
         _check_rates(recording, visible)

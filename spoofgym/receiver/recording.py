@@ -133,7 +133,8 @@ class InertialRecording:
             k = int(np.argmax(off > 0.5 * sample))
             raise ValueError(
                 f"no sample ends within half a sample of the epoch at {gnss_time[k]} s; "
-                f"the nearest ends at {imu_time[found[k]]} s"
+                f"the nearest ends at {imu_time[found[k]]} s (is `gnss_time` counted from the "
+                "start of the first sample, too?)"
             )
         if (np.diff(found) < 1).any():
             k = int(np.argmax(np.diff(found) < 1))

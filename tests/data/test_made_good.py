@@ -32,6 +32,13 @@ def blow(table, across_mps=10.0):
     return (table["track"] + np.degrees(np.arcsin(across_mps * np.sin(wind) / speed))) % 360.0
 
 
+def blow_against(table, wind_mps=10.0):
+    """Airspeeds [kt] in a wind from 250 deg."""
+    speed, wind = table["groundspeed"], wind_mps / KNOT
+    along = np.cos(np.radians(250.0 - table["track"]))
+    return np.sqrt(speed**2 + 2.0 * speed * wind * along + wind**2)
+
+
 SWAP = {"latitude": "longitude", "longitude": "latitude"}
 METRES = "metres, and taken as feet .--altitude-unit m.: "
 MISTAKES = {
@@ -41,6 +48,14 @@ MISTAKES = {
     "kt": (lambda t: t.rename(columns={"groundspeed": "velocity"}), "in kt, and taken as m/s"),
     "heading": (lambda t: t.assign(track=blow(t)), "courses seem to be headings"),
     "swapped": (lambda t: t.rename(columns=SWAP), "latitude and longitude are swapped"),
+    "airspeed": (
+        lambda t: t.assign(groundspeed=(0.86 * blow_against(t)).round()),
+        r"groundspeeds seem to be airspeeds: the positions move 1\.\d+ to 1\.\d+ times as fast",
+    ),
+    "true airspeed": (
+        lambda t: t.assign(groundspeed=blow_against(t, 25.0)),
+        "groundspeeds seem to be airspeeds",
+    ),
     "south": (lambda t: t.assign(latitude=-t.latitude), "latitudes have lost their sign"),
     "west": (lambda t: t.assign(longitude=-t.longitude), "longitudes have lost their sign"),
     "radians": (lambda t: t.assign(track=np.radians(t.track)), "courses are in radians"),
@@ -84,6 +99,22 @@ def test_a_stale_speed_or_course_is_dirt_and_no_mistake(flights):
     table = make_table(flights[100.0], 1.7e9, 10, 60.0)
     _, report = clean_track(track_from_frame(table.assign(groundspeed=433.0, track=77.0), "stale"))
     assert report.speeds_rejected == report.rows
+
+
+def test_an_airspeed_that_is_one_value_alone_is_not_used(flights):
+    for every, off_m in ((10, 60.0), (50, 20.0)):
+        table = make_table(flights[100.0], 1.7e9, every, off_m)
+        track, report = clean_track(track_from_frame(table.assign(groundspeed=167.0), "ias"))
+        assert report.speeds_rejected == report.rows
+        assert np.isnan(track.groundspeed).all()
+        assert clean_track(track_from_frame(table, "true"))[1].speeds_rejected == 0
+
+
+def test_courses_that_sway_are_no_headings(flights):
+    table = make_table(flights[100.0], 1.7e9, 10, 20.0)
+    sway = 12.0 * np.sin(2.0 * np.pi * table["timestamp"] / 90.0)
+    _, report = clean_track(track_from_frame(table.assign(track=(table.track + sway) % 360), "x"))
+    assert report.angles > 0.9 * report.fixes
 
 
 def test_a_mark_of_an_absent_course_is_dirt_however_often(flights):

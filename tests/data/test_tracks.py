@@ -192,11 +192,16 @@ def test_one_aircraft_is_taken_out_of_several(table):
     names = ["abcdef"] * (len(table) - 1) + ["ABCDEF"]
     other = table.assign(icao24=names, latitude=table["latitude"] + 1.0)
     both = pandas.concat([table, other]).sort_values("timestamp", kind="stable")
-    for aircraft, said in ((None, "of 4b1801, abcdef, got none"), ("123456", "got '123456'")):
+    for aircraft, said in ((None, "of 4b1801, abcdef, .* got none"), ("123456", "got '123456'")):
         with pytest.raises(ValueError, match=f"`aircraft` must be one .*{said}"):
             track_from_frame(both, "t", aircraft=aircraft)
     track = track_from_frame(both, "t", aircraft="abcdef")
     np.testing.assert_allclose(np.degrees(track.latitude), other["latitude"])
+    short = pandas.concat([table.iloc[:2].assign(icao24="777777"), table, other])
+    with pytest.raises(ValueError, match="one of 4b1801, abcdef, 777777, those of most rows first"):
+        track_from_frame(short, "t")
+    with pytest.raises(ValueError, match="one aircraft over time, got one row each of 57"):
+        track_from_frame(table.assign(icao24=[f"4b{k:04x}" for k in table.index]), "t")
 
 
 def spoil(table, column, row, value):
@@ -213,6 +218,16 @@ def spoil(table, column, row, value):
         (
             lambda t: t.drop(columns=["latitude", "altitude"]),
             r"latitude \(latitude, lat\); altitude \(altitude, .*got timestamp, icao24, longitude",
+        ),
+        (
+            lambda t: t.drop(columns="latitude").assign(
+                icao24=[f"{k:06x}" for k in t.index], **{f"engine{k}": 0.0 for k in range(60)}
+            ),
+            r"latitude \(latitude, lat\), got timestamp, icao24, .{60,200}, \.\.\.$",
+        ),
+        (
+            lambda t: t.assign(altitude=t["altitude"] + 6e3 * (t.index % 6 > 2)),
+            "jumps of place or altitude between them",
         ),
         (
             lambda t: t.assign(timestamp=45_000.5 + t.index / 17_280.0),
@@ -293,7 +308,8 @@ def test_an_empty_or_unknown_file_is_refused_and_pandas_asked_for(tmp_path, monk
             '[{"time": {"$date": 4}}]',
             r"`time` must be a value, got an object with \$d",
         ),
-        ("a.txt", "", r"must end in \.csv, .* got 'a\.txt'"),
+        ("a.txt", "", r"must end in \.csv, .* got 'a\.txt': save its points as a table with col"),
+        ("zip.csv", "PK\x03\x04", r"zip\.csv is packed by zip, .* unpack it first"),
     ):
         (tmp_path / name).write_text(text)
         with pytest.raises(ValueError, match=said):
@@ -417,6 +433,15 @@ def test_a_gap_over_30_s_and_a_jump_that_lasts_break_the_track(table):
     track, report = cleaned(table)
     assert (report.position_outliers, report.stretches) == (0, 2)
     assert report.fixes == track.time.size == max(30, len(table) - 30)
+
+
+def test_altitudes_that_jump_for_good_break_the_track(table):
+    later = table.index >= 20
+    for change in (table["altitude"] + 5e3 * later, table["altitude"].where(later, 200.0)):
+        track, report = cleaned(table.assign(altitude=change))
+        assert report.stretches == 2
+        assert len(table) - 22 < report.fixes == track.time.size
+        assert np.ptp(track.height) < 1.0
 
 
 def test_a_cut_is_chosen_by_its_times_and_lasts_ten_minutes_by_default(table):

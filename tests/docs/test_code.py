@@ -74,7 +74,7 @@ def test_the_code_on_own_data_and_on_learning_prints_what_the_pages_say(played):
 @pytest.mark.nightly  # all worlds of tasks, which are golden
 def test_the_code_on_tasks_names_worlds_and_families(played):
     _, printed = played("tasks.md")
-    assert printed[0].startswith("drawn worlds, matched receiver")
+    assert printed[0].startswith("airborne signals, tactical sensors, 150 s in a terminal area")
     assert len(printed) == 6
     _, (families,) = played("detector_tasks.md")
     assert "meaconer" in families  # a family that a task for detectors holds out

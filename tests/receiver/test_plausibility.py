@@ -223,6 +223,18 @@ REFUSED = {
         },
         r"\(is it with respect to inertial axes\?\)",
     ),
+    "no rates": (
+        lambda r: {"range_rate": r.range_rate * np.nan},
+        "measured where all of its fields are, but `range_rate` is NaN everywhere",
+    ),
+    "nothing of the satellites": (
+        lambda r: {x: getattr(r, x) * np.nan for x in ("satellite_position_e", "range_rate")},
+        "but `range_rate` and `satellite_position_e` is NaN everywhere",
+    ),
+    "time of week": (
+        lambda r: {"gnss_time": r.gnss_time + 345_600.0},
+        r"counted from the start of",
+    ),
     "a gap": (
         lambda r: {
             "imu_time": r.imu_time + 30.0 * (r.imu_time > 10.0),

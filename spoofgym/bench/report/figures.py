@@ -213,7 +213,7 @@ def draw_heat(
                 ax.text(x + 0.5, y + 0.5, text, ha="center", va="center", fontsize=8)
         ax.grid(visible=False)
         ax.set(xlim=(0, len(columns)), ylim=(len(rows), 0))
-        letters = [chr(ord("a") + k) for k in range(len(columns))]
+        letters = [_letter(k) for k in range(len(columns))]
         names = [f"{letter}: {name}" for letter, name in zip(letters, columns, strict=True)]
         ax.set_xticks(np.arange(len(columns)) + 0.5, letters)
         short = [x if len(x) <= 32 else f"{x[:30]} ..." for x in rows]
@@ -233,6 +233,11 @@ def _draw_dot(ax: Axes, row: float, dot: Dot, series: int) -> None:
     spread = [[max(value - low, 0.0)], [max(high - value, 0.0)]]
     look: dict[str, Any] = {"fmt": MARKERS[series % 8], "ms": 6, "capsize": 2, "color": colour}
     ax.errorbar(value, row, xerr=spread, zorder=3, **look, **filled)
+
+
+def _letter(k: int) -> str:
+    """Name of a column, as in spreadsheets: a to z, aa, ab."""
+    return (_letter(k // 26 - 1) if k > 25 else "") + chr(ord("a") + k % 26)
 
 
 def _colour(k: int) -> str:

@@ -177,6 +177,10 @@ def test_a_map_of_shares_has_a_cell_for_each_and_shows_what_is_missing():
     assert f"b: {html.escape(NAME, quote=False)}" in shown
     shades = re.findall(r"opacity: ([\d.]+)", text)
     assert sorted(map(float, shades)) == pytest.approx([0.0, 0.0861, 0.7])
+    wide = render_svg(draw_heat(["ramp"], [f"d{k}" for k in range(54)], [[0.5] * 54]), 9.0)
+    assert {"a: d0", "z: d25", "aa: d26", "az: d51", "ba: d52", "bb: d53"} <= {
+        *re.findall(r"<text[^>]*>([^<]*)</text>", wide)
+    }
 
 
 def test_an_unsolved_game_says_which_pairs_are_missing(tmp_path):
