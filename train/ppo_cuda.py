@@ -117,8 +117,8 @@ class OnProcessor:
         seen, *rest, info = self.envs.step(actions.numpy())
         last = info.get("final_info", {})
         none = np.zeros(self.num_envs)
-        told = {name: torch.from_numpy(np.array(last.get(name, none))) for name in COUNTED}
-        return (*(torch.from_numpy(np.array(each)) for each in (seen, *rest)), told)
+        counted = {name: torch.from_numpy(np.array(last.get(name, none))) for name in COUNTED}
+        return (*(torch.from_numpy(np.array(each)) for each in (seen, *rest)), counted)
 
     def check(self) -> None:
         """There is nothing to be found later."""
@@ -349,9 +349,9 @@ def train(settings: Settings, seed: int, tick: Callable[[float], None]) -> dict[
             write_checkpoint(folder / CHECKPOINT, learner.tensors, state)
         policy = learner.policy.cpu()
     path = folder / f"{settings.out.name}-{seed}.onnx"
-    told = {"algorithm": "train.ppo_cuda", "seed": seed, **settings.identity}
+    counted = {"algorithm": "train.ppo_cuda", "seed": seed, **settings.identity}
     with closing(SpoofVecEnv(1, **settings.env_kwargs)) as probe:
-        spoofgym.export.onnx(policy, probe, path, training=told)
+        spoofgym.export.onnx(policy, probe, path, training=counted)
     steps, wall_s = updates * learner.size, round(state["wall_s"], 1)
     row = {"seed": seed, "steps": steps, "wall_s": wall_s, "curve": state["curve"]}
     return {**row, "diverged": None, "file": path.name}
