@@ -116,7 +116,7 @@ def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
     if fixed:
         warnings.warn(
             "the target direction is drawn for every episode (target_heading_deg='random'), but "
-            f"{', '.join(fixed)} push along a fixed heading; with heading_deg='{TARGET}' a "
+            f"these push along a fixed heading: {', '.join(fixed)}; with heading_deg='{TARGET}' a "
             "scripted spoofer follows the target direction",
             UserWarning,
             stacklevel=3,

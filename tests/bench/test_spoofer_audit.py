@@ -124,9 +124,9 @@ def test_a_quick_audit_leaves_out_detectors_without_thresholds():
     [
         (
             ["ewma", "--spoofer", "ramp"],
-            "of a DETECTOR, a --spoofer or an entry, by --check: give one",
+            "a DETECTOR, a --spoofer or an entry (--check)",
         ),
-        ([], "of a DETECTOR, a --spoofer or an entry, by --check: give one"),
+        ([], "a DETECTOR, a --spoofer or an entry (--check)"),
         (["--spoofer", "none"], "attacks nothing"),
         (["--spoofer", "raises:Any"], "raises ZeroDivisionError when it is imported"),
         (["--spoofer", "own:Key"], "spoofer 'own:Key': KeyError: 'rate'"),

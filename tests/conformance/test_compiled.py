@@ -13,8 +13,9 @@ PLAIN = {"core", "policies", "spoofers"}
 could take in, but for the foundation. No file of kernels imports the last."""
 FOUNDATION = {Path(name).stem for name in FOUNDATION_FILES}
 """Modules of `core` that are in every digest."""
-OF_NUMBA = {"core/compile.py", "core/simd.py"}
-"""The decorator, how it compiles, and the types of vectors; `cuda/` compiles for devices."""
+OF_NUMBA = {"core/compile.py", "core/devices.py", "core/simd.py"}
+"""The decorator, how it compiles, which devices there are, and the types of vectors; `cuda/`
+compiles for devices."""
 DECORATORS = {"njit", "inline_njit"}
 BRIDGES = {"envs/spoofer_binding.py", "envs/victims.py", "receiver/raw_measurements.py"}
 """Files of compiled layers that may know of other packages, since nothing compiled imports them."""

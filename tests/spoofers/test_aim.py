@@ -92,7 +92,7 @@ def test_a_fixed_heading_is_warned_of_once():
     envs.close()
     drawn = {"scenario": "trolley", "timeline": SHORT, "target_heading_deg": "random"}
     pool = [ramp, "none", {"name": "step", "heading_deg": 10.0}, FOLLOWING]
-    with pytest.warns(UserWarning, match=r"push Ramp \(.*=90\), Step \(.*=10\); with") as told:
+    with pytest.warns(UserWarning, match=r"heading: Ramp \(.*=90\), Step \(.*=10\); with") as told:
         duel_v0.DetectorView(pool, **drawn)
     assert len(told) == 1
     duel_v0.DetectorView(["none", FOLLOWING], **drawn)

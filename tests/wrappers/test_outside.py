@@ -132,7 +132,7 @@ def test_what_does_not_fit_is_refused_by_name():
         wrappers.DetectorWrapper(vectors(), "snapshot-chi2")
     with pytest.raises(ValueError, match="needs infos='all' and an `autoreset_mode`"):
         vector_wrappers.PassiveDetector(vectors(autoreset_mode="same_step"), "snapshot-chi2")
-    with pytest.raises(ValueError, match="a pool draws a member"):
+    with pytest.raises(ValueError, match="a pool draws its members only in the loop"):
         wrappers.PassiveDetector(single(), {"name": "pool", "members": ["shewhart"]})
     with pytest.raises(ValueError, match="'truth'"):
         single(epoch=["truth"])
