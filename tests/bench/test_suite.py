@@ -47,7 +47,9 @@ def test_runs_share_no_noise_between_splits_scenarios_runs_and_campaigns():
 
 def test_spoofers_that_ignore_a_drawn_target_are_warned_of_and_oracles_refused():
     drawn = {"target_heading_deg": "random", "detectors": ("never",)}
-    with pytest.warns(UserWarning, match=r"heading: Ramp \(heading_deg=90\), Step \(heading_deg=90\);"):
+    with pytest.warns(
+        UserWarning, match=r"heading: Ramp \(heading_deg=90\), Step \(heading_deg=90\);"
+    ):
         small_suite(spoofers=("ramp", "step"), **drawn).check_fit()
     small_suite(spoofers=({"name": "step", "heading_deg": "target"},), **drawn).check_fit()
     assert not any(DETECTORS[spec["name"]].oracle for spec in DEFAULT_DETECTORS)

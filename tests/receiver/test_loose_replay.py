@@ -183,7 +183,10 @@ REFUSED = {
     "km": (lambda r: {"position_e": r.position_e / 1e3}, r"got \[\d{4}\..*is it in km"),
     "knots": (lambda r: {"velocity_e": np.asarray(r.velocity_e) * 3600 / 1852}, "is it in knots"),
     "mg": (lambda r: {"specific_force_b": np.asarray(r.specific_force_b) * 1e3}, "is it in mg"),
-    "zeros": (lambda r: {"position_e": np.nan_to_num(r.position_e)}, "An absent position must be NaN"),
+    "zeros": (
+        lambda r: {"position_e": np.nan_to_num(r.position_e)},
+        "An absent position must be NaN",
+    ),
     "local": (
         lambda r: {"velocity_e": np.tile([60.0, 52.0, 0.0], (len(r.gnss_time), 1))},
         "but positions move differently",

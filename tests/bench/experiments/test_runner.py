@@ -74,7 +74,10 @@ def test_a_group_is_one_call_of_what_is_unfinished_and_contexts_last(tmp_path):
         ((Cell("a", {}), Cell("a", {})), "two cells .* 'a'"),
         ((Cell("a", {}), Cell("A", {})), "two cells .* 'a'"),
         ((Cell("a", {}, after=("b",)),), "cell before 'a'.*'b'"),
-        ((Cell("a", {}, after=("b",)), Cell("b", {}, after=("a",))), "wait for each other: .*cell a"),
+        (
+            (Cell("a", {}, after=("b",)), Cell("b", {}, after=("a",))),
+            "wait for each other: .*cell a",
+        ),
     ],
 )
 def test_cells_that_make_no_sense_are_named(tmp_path, cells, said):
