@@ -97,7 +97,7 @@ def test_a_base_observes_what_it_was_shown_even_if_the_array_is_changed_then():
 def test_a_fixed_heading_beside_drawn_ones_is_warned_of():
     action = {"name": "rate-setpoint", "dimensions": 2}
     env = gym.make(ID, target_heading_deg="random", timeline=SHORT, action=action)
-    with pytest.warns(UserWarning, match="Ramp.* push along a fixed heading"):
+    with pytest.warns(UserWarning, match="push along a fixed heading: Ramp"):
         ResidualAction(env, {"name": "ramp", "rate_mps": 0.3})
 
 
