@@ -117,14 +117,20 @@ def play_batch(
     maxima = simulator.monitor(RunMaxima)
     for _ in simulator.warming(rngs, piece=20 * len(rngs)):
         check_stopped(stopped)
-    before, early = maxima.pop_maxima()
-    world = simulator.onset // setup.epochs_each
+    before = maxima.pop_maxima()
     for _ in range(setup.steps + setup.hold):
         check_stopped(stopped)
         simulator.step(attacked=False)
-    judged, alarmed = maxima.pop_maxima()
+    return gather_runs(simulator, setup, before, maxima.pop_maxima())
+
+
+def gather_runs(
+    simulator: Simulator, setup: Setup, before: Sequence[Any], window: Sequence[Any]
+) -> CleanRuns:
+    """Runs of a simulator, from ratios and alarms before the onset and in the window."""
     age_s = np.asarray(simulator.ages * setup.interval_s, dtype=np.float64)
-    return CleanRuns(before, judged, early, alarmed, world, age_s)
+    world = simulator.onset // setup.epochs_each
+    return CleanRuns(before[0], window[0], before[1], window[1], world, age_s)
 
 
 @dataclass

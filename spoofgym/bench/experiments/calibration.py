@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...calibration import holdouts, thresholds
-from ...calibration.clean_runs import CHUNK, CleanRuns, Numbers, Player, join_runs
+from ...calibration.clean_runs import CHUNK, CleanRuns, Numbers, Player, gather_runs, join_runs
 from ...core.devices import SIMULATED, import_torch
 from ...core.progress import ProgressBar, ProgressCallback
 from ...core.registry import check_choice
@@ -148,10 +148,9 @@ def play_on_device(
             fleet = Fleet(torch, simulator, torch.device("cpu" if SIMULATED else device))
             before = fleet.warm_up(stopped)
             window = fleet.run(setup.steps + setup.hold, stopped)
-        found.append((before[0], window[0], before[1], window[1]))
+        found.append((*before, *window))
     columns = [np.stack(each, axis=1) for each in zip(*found, strict=True)]
-    age_s = np.asarray(simulator.ages * setup.interval_s, dtype=np.float64)
-    return CleanRuns._make((*columns, simulator.onset // setup.epochs_each, age_s))
+    return gather_runs(simulator, setup, columns[:2], columns[2:])
 
 
 def _resumable(function: Callable[..., Any]) -> Callable[..., Any]:
