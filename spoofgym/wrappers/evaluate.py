@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +41,7 @@ from .streams import (
     play_streams,
     read_info,
     replaced_bottom,
+    step_streams,
 )
 
 RUNS = 200
@@ -264,56 +266,49 @@ class _Judge:
 
     def gives_statistic(self, stream: Stream) -> bool:
         """Whether the wrapper gives a statistic; a ValueError where it gives no alarm, either."""
-        found: list[Reading] = []
-
-        def look(number: int, reading: Reading) -> bool:
-            found.append(reading)
-            return number < 1  # what is set at a reset may be less
-
-        play_streams(self.env, self.bottom, [stream] * self.size, look)
-        if found[-1].ratio is None and found[-1].alarm is None:
+        played = play_streams(self.env, self.bottom, [stream] * self.size)
+        *_, found = islice(played, 2)  # what is set at a reset may be less
+        if found.ratio is None and found.alarm is None:
             raise ValueError(
                 "the wrapper sets neither info['alarm'] nor info['statistic'] and "
                 "info['threshold']: it is no detector"
             )
-        return found[-1].ratio is not None
+        return found.ratio is not None
 
     def find_largest(self, streams: Sequence[Stream]) -> FloatArray:
         """(R,) largest ratio of statistic to threshold in each stream."""
         largest = np.zeros(len(streams))
-
-        def update(rows: NDArray[np.intp], now: Reading, number: int) -> bool:
-            if now.ratio is not None:
-                np.maximum.at(largest, rows, now.ratio[: len(rows)])
-            return True
-
-        self._play(streams, update)
+        for rows, played in self._play(streams):
+            for now in played:
+                if now.ratio is not None:
+                    np.maximum.at(largest, rows, now.ratio[: len(rows)])
         return largest
 
     def find_alarms(self, streams: Sequence[Stream], scale: float | None) -> NDArray[np.int64]:
         """(R,) epoch of the first alarm in each stream, from 1 on; 0 for none."""
         first = np.zeros(len(streams), dtype=np.int64)
-
-        def update(rows: NDArray[np.intp], now: Reading, number: int) -> bool:
-            alarm = now.alarm
-            if scale is not None:
-                alarm = None if now.ratio is None else now.ratio > scale
-            if alarm is not None:
-                new = alarm[: len(rows)] & (first[rows] == 0)
-                first[rows[new]] = number + 1
-            return not (first[rows] > 0).all()
-
-        self._play(streams, update)
+        for rows, played in self._play(streams):
+            for number, now in enumerate(played, start=1):
+                alarm = now.alarm
+                if scale is not None:
+                    alarm = None if now.ratio is None else now.ratio > scale
+                if alarm is not None:
+                    first[rows[alarm[: len(rows)] & (first[rows] == 0)]] = number
+                if (first[rows] > 0).all():
+                    break
         ends = np.array([len(each.epochs) for each in streams])
         return np.where(first > ends, 0, first)
 
-    def _play(self, streams: Sequence[Stream], update: Any) -> None:
+    def _play(
+        self, streams: Sequence[Stream]
+    ) -> Iterator[tuple[NDArray[np.intp], Iterator[Reading]]]:
+        """Streams by their numbers, as many at once as there are receivers, and what is set at
+        their epochs."""
         for first in range(0, len(streams), self.size):
             chosen = list(streams[first : first + self.size])
             rows = np.arange(first, first + len(chosen))
             chosen += chosen[-1:] * (self.size - len(chosen))
-            look = lambda number, now, rows=rows: update(rows, now, number)  # noqa: E731
-            play_streams(self.env, self.bottom, chosen, look)
+            yield rows, play_streams(self.env, self.bottom, chosen)
             self.bar.advance(len(rows), "runs through the wrappers")
 
 
@@ -375,13 +370,9 @@ class _Trial:
 
     def play(self, stream: Stream) -> list[tuple[bool, float]]:
         """Alarm and ratio of every epoch."""
-        self.bottom.feed.streams = [stream]
         found: list[tuple[bool, float]] = []
-        observation, info = self.env.reset()
-        for number in range(len(stream.epochs)):
-            over = False
-            if number:
-                observation, _, over, _, info = self.env.step(self._idle)
+        steps = step_streams(self.env, self.bottom, [stream])
+        for number, (observation, over, info) in enumerate(steps):
             reading = self._read(info, number)
             found.append(
                 (
@@ -397,10 +388,6 @@ class _Trial:
                     "than it was trained with"
                 )
         return found
-
-    @property
-    def _idle(self) -> Any:
-        return np.zeros(self.bottom.action_space.shape, dtype=np.float32)
 
     def _read(self, info: dict[str, Any], number: int) -> Reading:
         try:

@@ -7,7 +7,7 @@ when an attack begins, which is some time after the first epoch, nor what it doe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -260,18 +260,23 @@ def read_info(info: Mapping[str, Any], receivers: int | None) -> Reading:
 
 
 READ = ("alarm", "statistic", "threshold")
-Look = Callable[[int, Reading], bool]
 
 
-def play_streams(env: Any, bottom: Any, streams: Sequence[Stream], look: Look) -> None:
-    """Play streams through the wrappers, as many as there are receivers; `look` is called at every
-    epoch, with its number from 0 on, and says whether to go on."""
+def step_streams(
+    env: Any, bottom: Any, streams: Sequence[Stream]
+) -> Iterator[tuple[Any, Any, dict[str, Any]]]:
+    """Play streams through the wrappers, as many as there are receivers: what these return at every
+    epoch as observation, end and information."""
     bottom.feed.streams = streams
-    receivers = bottom.num_envs if isinstance(bottom, StreamVectorEnv) else None
     idle = np.zeros(bottom.action_space.shape, dtype=np.float32)
-    info = env.reset()[1]
-    for number in range(max(len(each.epochs) for each in streams)):
-        if number:
-            info = env.step(idle)[4]
-        if not look(number, read_info(info, receivers)):
-            return
+    observation, info = env.reset()
+    yield observation, False, info
+    for _ in range(1, max(len(each.epochs) for each in streams)):
+        observation, _, over, _, info = env.step(idle)
+        yield observation, over, info
+
+
+def play_streams(env: Any, bottom: Any, streams: Sequence[Stream]) -> Iterator[Reading]:
+    """Play streams through the wrappers: what these set at every epoch."""
+    receivers = bottom.num_envs if isinstance(bottom, StreamVectorEnv) else None
+    return (read_info(info, receivers) for _, _, info in step_streams(env, bottom, streams))
