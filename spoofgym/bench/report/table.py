@@ -10,7 +10,7 @@ from itertools import zip_longest
 from operator import itemgetter
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..scores.audit import format_age
 from ..scores.statistics import format_number as format_number
@@ -31,7 +31,6 @@ class Column(NamedTuple):
     title: str
     value: str | Callable[[Any], Any]
     form: Callable[[Any], str] = str
-    align: Literal["left", "right"] = "left"
 
     def text(self, row: Any) -> str:
         value = row[self.value] if isinstance(self.value, str) else self.value(row)
@@ -65,8 +64,7 @@ class Table:
         return [{key: row[key] for key in keys} for row in rows]
 
     def markdown(self, rows: Iterable[Any]) -> str:
-        ruler = ("-:" if column.align == "right" else "---" for column in self.columns)
-        lines = [f"| {' | '.join(self.titles)} |", f"|{'|'.join(ruler)}|"]
+        lines = [f"| {' | '.join(self.titles)} |", f"|{'---|' * len(self.columns)}"]
         for texts in self.texts(rows):
             cells = (" ".join(text.split()).replace("|", "\\|") for text in texts)
             lines.append(f"| {' | '.join(cells)} |")
@@ -82,7 +80,7 @@ class Table:
         lines = zip_longest(*columns, fillvalue="")
         return ["  ".join(map(str.ljust, line, widths)).rstrip() for line in lines]
 
-    def print(self, title: str, rows: Iterable[Any], *, names: int = 1, width: int = WIDTH) -> None:
+    def print(self, title: str, rows: Iterable[Any], *, names: int = 1) -> None:
         """Print the table; its first columns, `names`, are never broken."""
         from rich import box, table
         from rich.console import Console
@@ -90,12 +88,12 @@ class Table:
 
         console = Console()
         if not console.is_terminal:
-            console = Console(width=width)
+            console = Console(width=WIDTH)
         # as Text, since rich takes a unit in brackets for a style
         shown = table.Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD)
         for k, column in enumerate(self.columns):
             head = Text(column.title)
-            shown.add_column(head, overflow="fold", no_wrap=k < names, justify=column.align)
+            shown.add_column(head, overflow="fold", no_wrap=k < names)
         for texts in self.texts(rows):
             shown.add_row(*map(Text, texts))
         console.print(shown)
