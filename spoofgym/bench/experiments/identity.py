@@ -25,11 +25,11 @@ KNOWN, MOST_KNOWN = "sources.json", 5_000
 """File of digests by the bytes of their source, in the cache folder, and how many it keeps."""
 
 
-def code_identity(packages: Iterable[str] = (), sources: Iterable[Path] = ()) -> dict[str, str]:
+def code_identity(packages: Iterable[str] = ()) -> dict[str, str]:
     """Digest of the library's code, without comments, docstrings, layout and what is
-    `NOT_COMPUTING`, and versions; of further packages and folders, where given."""
+    `NOT_COMPUTING`, and versions, of further packages, too, where given."""
     return {
-        "sources": digest_of_sources(LIBRARY, *sources),
+        "sources": digest_of_sources(LIBRARY),
         "python": platform.python_version(),
         **{name: version(name) for name in (*PACKAGES, *packages)},
     }
@@ -41,13 +41,12 @@ def versions() -> dict[str, str]:
 
 
 @functools.cache
-def digest_of_sources(*folders: Path) -> str:
-    """Digest of the code in some folders; as it was at the first call in this process."""
+def digest_of_sources(folder: Path) -> str:
+    """Digest of the code in a folder; as it was at the first call in this process."""
     known = _load_digests()
     before = len(known)
     found = [
         (folder.name, path.relative_to(folder).as_posix(), _digest_of_module(path, known))
-        for folder in folders
         for path in sorted(folder.rglob("*.py"))
         if not NOT_COMPUTING & {*path.relative_to(folder).with_suffix("").parts}
     ]

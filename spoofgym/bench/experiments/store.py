@@ -28,8 +28,8 @@ from .identity import code_identity
 
 FORMAT = 1
 CONFIG, CELLS = "config.json", "cells"
-HEAD, RECORD, ARRAY, FILES = "head.json", "record.json", ".npy", "files/"
-"""Members of a cell's file: what it is of, what is no array, arrays as in any .npz, and files."""
+HEAD, RECORD, ARRAY = "head.json", "record.json", ".npy"
+"""Members of a cell's file: what it is of, what is no array, and arrays as in any .npz."""
 SUMMARY, REPORT, REPLAY = OUTPUTS = "summary.json", "report.html", "replay.json"
 """Files beside the cells: scores, the page that shows them, and the run that it plays again."""
 DATE = (1980, 1, 1, 0, 0, 0)
@@ -61,7 +61,6 @@ class Result(NamedTuple):
 
     arrays: Mapping[str, NDArray[Any]] = {}  # never written to
     record: Any = None
-    files: Mapping[str, bytes] = {}
     deflated: bool = False
 
 
@@ -102,7 +101,11 @@ class Store:
         try:
             self._write(self.path / CONFIG, _json(mine, CONFIG, indent=1), exclusive=True)
         except FileExistsError:
-            self._check_config(mine)
+            if (found := self._read_config(experiment)) != mine:
+                raise ValueError(
+                    f"{self.path} holds other results ({_format_diff(found, mine)}); choose "
+                    "another folder, or overwrite them"
+                ) from None
         self._config = mine
 
     def reopen(self, experiment: str | None = None) -> dict[str, Any]:
@@ -144,14 +147,6 @@ class Store:
                 f"{experiment!r}; choose another folder"
             )
         return found
-
-    def _check_config(self, mine: Mapping[str, Any]) -> None:
-        found = self._read_config(mine["experiment"])
-        if found != mine:
-            raise ValueError(
-                f"{self.path} holds other results ({_format_diff(found, mine)}); choose another "
-                "folder, or overwrite them"
-            )
 
     def _remove(self, outputs: Iterable[str]) -> None:
         """Remove what an experiment writes, and nothing else; its configuration comes last."""
@@ -298,9 +293,6 @@ class Reader(Mapping[str, Result]):
             raise KeyError(f"{key!r} is not finished in {self.store.path}")
         return result
 
-    def __contains__(self, key: object) -> bool:
-        return key in self.cells and self.store.has(self.cells[str(key)])
-
     def __iter__(self) -> Iterator[str]:
         return (key for key, cell in self.cells.items() if self.store.has(cell))
 
@@ -316,15 +308,12 @@ class Reader(Mapping[str, Result]):
 def _pack_result(head: Mapping[str, Any], result: Result, name: str) -> bytes:
     parts = {RECORD: _json(result.record, f"record of {name}")}
     for key, array in result.arrays.items():
-        if key.startswith(FILES):
-            raise ValueError(f"{name} returns an array {key!r}: no name may start with {FILES!r}")
         buffer = io.BytesIO()
         try:
             npy.write_array(buffer, np.asarray(array, order="C"), allow_pickle=False)
         except ValueError as error:
             raise ValueError(f"{name} returns {key!r}, which can't be stored: {error}") from error
         parts[f"{key}{ARRAY}"] = buffer.getvalue()
-    parts |= {f"{FILES}{key}": content for key, content in result.files.items()}
     parts = {HEAD: _json({**head, "members": [*parts]}, name), **parts}
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as file:
@@ -338,13 +327,9 @@ def _pack_result(head: Mapping[str, Any], result: Result, name: str) -> bytes:
 
 def _unpack_result(parts: Mapping[str, bytes]) -> Result:
     """Result in a file's members; empty without any."""
-    arrays, files = {}, {}
-    for name, data in parts.items():
-        if name.startswith(FILES):
-            files[name.removeprefix(FILES)] = data
-        elif name != RECORD:
-            arrays[name.removesuffix(ARRAY)] = parse_array(data)
-    return Result(arrays, parse_json(parts.get(RECORD, b"null"), RECORD, object), files)
+    own = {name: data for name, data in parts.items() if name != RECORD}
+    arrays = {name.removesuffix(ARRAY): parse_array(data) for name, data in own.items()}
+    return Result(arrays, parse_json(parts.get(RECORD, b"null"), RECORD, object))
 
 
 def _json(value: Any, name: str, indent: int | None = None) -> bytes:
