@@ -7,7 +7,7 @@ import pytest
 import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym.bench.experiments.suite import Suite
 from spoofgym.bench.report import tasks as task_cards
-from spoofgym.bench.runs.play import WarmStart, play
+from spoofgym.bench.runs.play import WarmStart, play_side_by_side
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.detectors import make_detector
 from spoofgym.envs import core
@@ -52,7 +52,7 @@ def test_no_task_is_won_by_full_throttle(key):
     suite = Suite(**TASKS[key].suite_kwargs, runs=2)
     start = WarmStart(suite.setup(suite.detector_players[0]), suite.generators("training", 16))
     push = {"name": "accelerating-ramp", "acceleration_mps2": 0.05}
-    hardest = play(start, push, drop_alarmed=True)
+    (hardest,) = play_side_by_side(start, [push], drop_alarmed=True)
     assert hardest.alarm.any(axis=0).mean() > 0.5
 
 

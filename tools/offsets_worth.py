@@ -40,7 +40,7 @@ from spoofgym.bench.scores.statistics import BUDGET
 from spoofgym.bench.search.amplitude import EXACT
 from spoofgym.bench.search.open_loop import PLAIN, SHAPES, SPLIT, OpenLoopSearch
 from spoofgym.cli.app import print_json, progress
-from spoofgym.simulation.setup import seed_sequences
+from spoofgym.simulation.setup import seeds_of_runs
 from spoofgym.simulation.simulator import weighs
 from spoofgym.simulation.tight import TightlyCoupledSetup
 
@@ -82,7 +82,7 @@ def search(judge: Evaluator, captured: str) -> tuple[dict[str, Any], dict[str, A
         passive = {**judge.detector.spec, "weight_scale": None, "thresholds": "nominal"}
         passive.pop("false_alarms_per_hour", None)
         detector = judge.world.judge(specify_detector(passive))
-    seeds = seed_sequences(judge.entropy, SPLIT, setup.name, SEARCH.runs)
+    seeds = seeds_of_runs(judge.entropy, SPLIT, setup.name, range(SEARCH.runs))
     replay = OffsetsReplay(setup, [detector], seeds, threads=judge.threads)
     knots = replay.knots
     t = np.linspace(0.0, 1.0, knots)

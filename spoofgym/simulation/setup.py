@@ -414,17 +414,10 @@ SPLITS = {  # first element of the spawn keys; 3 was once another split's
 }
 
 
-def seed_sequences(
-    entropy: int, split: str, scenario: str, runs: int, first: int = 0
-) -> list[np.random.SeedSequence]:
-    """Seeds of the runs of a split; the first ones are the same for any number of runs. `entropy`:
-    of the campaign, at least 0; `first`: run to start with."""
-    return seeds_of_runs(entropy, split, scenario, range(first, runs))
-
-
 def seeds_of_runs(
     entropy: int, split: str, scenario: str, runs: Iterable[int]
 ) -> list[np.random.SeedSequence]:
+    """Seeds of runs of a split by their numbers; `entropy`: of the campaign, at least 0."""
     key = zlib.crc32(scenario.encode())
     return [np.random.SeedSequence(entropy, spawn_key=(SPLITS[split], key, run)) for run in runs]
 

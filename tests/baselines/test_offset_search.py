@@ -14,7 +14,7 @@ from spoofgym.bench.runs.play import WarmStart, induced_error, play
 from spoofgym.bench.runs.world import World
 from spoofgym.bench.scores.at_budget import AlarmCurve, ratio_at_budget
 from spoofgym.detectors import make_detector
-from spoofgym.simulation.setup import seed_sequences
+from spoofgym.simulation.setup import seeds_of_runs
 
 TIMELINE = {"warmup_s": 40.0, "live_s": 20.0, "attack_s": 30.0, "time_to_alert_s": 5.0}
 SCALES = [2.0, 2.0, 2.0]
@@ -29,7 +29,7 @@ def world():
 @pytest.fixture(scope="module")
 def replay(world):
     detector = make_detector({"name": "shewhart", "thresholds": "nominal"})
-    seeds = seed_sequences(0, "search", world.setup.name, 3)
+    seeds = seeds_of_runs(0, "search", world.setup.name, range(3))
     return OffsetsReplay(world.setup, [detector], seeds, threads=1)
 
 

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from spoofgym.bench.runs.record import compute_displacement
 from spoofgym.tasks import AttackFamily, DetectorTask, get_detector_task, get_task
 
 TIMELINE = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 4.0}
@@ -25,3 +28,11 @@ def small_task(of="v1/D1"):
     # its own timeline has onsets of all kinds
     kept = (AttackFamily(**{**vars(each), "timeline": None}) for each in families)
     return SmallTask("small", "short episodes", get_task("T3"), tuple(kept))
+
+
+def displace(panel, attack):
+    """(D, R') undetected displacement under an attack, before each of a panel's detectors [m]."""
+    played = panel.play([(attack, k) for k in range(len(panel.judges))])
+    pairs = zip(played, panel.clean, strict=True)
+    moved = [compute_displacement(panel.setup, x, twin.first(attack.runs)) for x, twin in pairs]
+    return np.round(moved, 6)

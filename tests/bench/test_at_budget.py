@@ -36,7 +36,7 @@ from spoofgym.detectors import Calibrated, make_detector
 from spoofgym.detectors.calibration_file import Calibration
 from spoofgym.limits import Replay
 from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.setup import make_generators, seed_sequences
+from spoofgym.simulation.setup import make_generators, seeds_of_runs
 
 from . import support
 
@@ -226,7 +226,7 @@ def test_replay_and_engine_have_the_same_alarm_amplitudes():
     setup = TightlyCoupledSetup(detector="never", **settings)
     named = {key: x for key, x in WORLD["detector"].items() if key != "thresholds"}
     detector = make_detector(named)
-    seeds = lambda: seed_sequences(0, "training", setup.name, 24)  # noqa: E731
+    seeds = lambda: seeds_of_runs(0, "training", setup.name, range(24))  # noqa: E731
     engine = EngineRuns(Panel(setup, [detector], lambda: make_generators(seeds()), 1), 0, RAMP)
     backend = ReplayBackend(Replay(setup, [detector], seeds(), threads=1), 0)
     replay = ReplayRuns(backend, engine.span)
@@ -250,7 +250,7 @@ def test_replay_and_engine_have_the_same_alarm_amplitudes():
 def test_a_threshold_moves_the_score_by_its_elasticity():
     setup = TightlyCoupledSetup(detector="never", timeline=support.SHORT)
     judge = Calibrated(make_detector("snapshot-chi2"), scale=1.0)
-    rngs = lambda: make_generators(seed_sequences(0, "training", setup.name, 16))  # noqa: E731
+    rngs = lambda: make_generators(seeds_of_runs(0, "training", setup.name, range(16)))  # noqa: E731
     panel = Panel(setup, [judge], rngs, 1)
     assert panel.at_thresholds(0, FACTOR, 8).judges[0].scale == FACTOR
     assert judge.scale == 1.0

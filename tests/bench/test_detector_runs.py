@@ -12,7 +12,7 @@ from spoofgym.bench.runs.world import World
 from spoofgym.detectors import Calibrated, Never, PooledDetector, SnapshotChi2, make_detector
 from spoofgym.tasks import CANDIDATES, SWITCH_WITHIN_S, TURNING_DEGPS
 
-from .detector_support import small_task
+from .detector_support import displace, small_task
 
 TEST = {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"}
 RAMP = {"name": "ramp", "rate_mps": 0.4}
@@ -70,11 +70,11 @@ def test_detectors_that_share_a_pass_get_what_each_gets_alone(setup):
     tight = Calibrated(SnapshotChi2(), scale=0.3)
     judges = [make_detector(TEST), tight, make_detector({**TEST, "name": "shewhart"})]
     together = Panel(setup, judges, rngs_of(setup, range(9)), 1)
-    moved = together.displacement(PanelAttack(RAMP, 9))
-    np.testing.assert_array_equal(together.displacement(PanelAttack(RAMP, 4)), moved[:, :4])
+    moved = displace(together, PanelAttack(RAMP, 9))
+    np.testing.assert_array_equal(displace(together, PanelAttack(RAMP, 4)), moved[:, :4])
     for k, judge in enumerate(judges):
         alone = Panel(setup, [judge], rngs_of(setup, range(9)), 1)
-        np.testing.assert_array_equal(alone.displacement(PanelAttack(RAMP, 9))[0], moved[k])
+        np.testing.assert_array_equal(displace(alone, PanelAttack(RAMP, 9))[0], moved[k])
         np.testing.assert_array_equal(alone.counts[:, 0], together.counts[:, k])
         np.testing.assert_array_equal(alone.twin_alarm[:, 0], together.twin_alarm[:, k])
         start = start_of(setup, judge, range(9))
@@ -109,8 +109,8 @@ def test_attacks_side_by_side_are_what_each_is_alone(setup):
 
 def test_an_attack_of_its_own_meets_the_same_runs(setup):
     panel = Panel(setup, [Never(), make_detector(TEST)], rngs_of(setup, range(4)), 1)
-    assert np.abs(panel.displacement(PanelAttack(IDLE, 4))).max() == 0.0
-    near, far = (panel.displacement(PanelAttack(IDLE, 4, meaconer(x))) for x in (4.0, 8.0))
+    assert np.abs(displace(panel, PanelAttack(IDLE, 4))).max() == 0.0
+    near, far = (displace(panel, PanelAttack(IDLE, 4, meaconer(x))) for x in (4.0, 8.0))
     # the filter comes nearer to the antenna for as long as the window lasts, in proportion
     assert ((near[0] > 1.0) & (near[0] < 4.0)).all()
     np.testing.assert_allclose(far[0], 2.0 * near[0], rtol=0.05)
@@ -138,7 +138,7 @@ def test_near_an_alarm_are_those_whose_statistic_was_largest(setup):
     assert found.runs == len(found.rngs()) == runs
     still = Panel(setup, [judge], rngs_of(setup, chosen), 1)
     attack = PanelAttack(IDLE, runs, meaconer(0.0))
-    np.testing.assert_allclose(found.displacement(attack), still.displacement(attack), atol=1e-6)
+    np.testing.assert_allclose(displace(found, attack), displace(still, attack), atol=1e-6)
 
 
 def test_thresholds_go_along_into_any_world():

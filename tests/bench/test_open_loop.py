@@ -21,7 +21,7 @@ from spoofgym.envs.factory import make_setup
 from spoofgym.limits import Replay
 from spoofgym.limits.linear import get_rate_limits
 from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.setup import make_generators, seed_sequences
+from spoofgym.simulation.setup import make_generators, seeds_of_runs
 
 from ..nightly import heavy
 from .support import SHORT, small_suite
@@ -208,11 +208,11 @@ def test_a_pool_shares_the_runs_by_its_weights_and_any_part_as_all_of_them():
 def test_replay_engine_and_spoofer_agree(heading_deg, settings):
     settings = {"detector": "snapshot-chi2", "timeline": SHORT, **settings}
     setup = make_setup(TightlyCoupledSetup, settings)
-    seeds = seed_sequences(0, "training", setup.name, 8)
+    seeds = seeds_of_runs(0, "training", setup.name, range(8))
     replay = backends.ReplayBackend(
         Replay(setup, [setup.detector], seeds, threads=1), 0, heading_deg
     )
-    start = WarmStart(setup, make_generators(seed_sequences(0, "training", setup.name, 8)))
+    start = WarmStart(setup, make_generators(seeds_of_runs(0, "training", setup.name, range(8))))
     engine = backends.EngineBackend(start, play(start, "none"), heading_deg)
     assert (replay.runs, replay.steps, replay.limits) == (engine.runs, engine.steps, engine.limits)
     t = np.linspace(0.0, 1.0, replay.steps + 1)[1:]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from spoofgym.bench.report.figures import frame_count, play_frames
-from spoofgym.bench.runs.play import WarmStart, play
+from spoofgym.bench.runs.play import WarmStart, play_side_by_side
 from spoofgym.bench.runs.players import specify_spoofer
 from spoofgym.envs.context import apply_pace
 from spoofgym.envs.spoofer_binding import attach, bound_spoofer, get_tuning_range
@@ -28,7 +28,7 @@ def attacked(world, spoofer, drop_alarmed=False):
     suite = suite_of(**world)
     setup = suite.setup(suite.detector_players[0])
     start = WarmStart(setup, suite.generators("evaluation", 12), threads=1)
-    return play(start, spoofer, drop_alarmed=drop_alarmed)
+    return play_side_by_side(start, [spoofer], drop_alarmed=drop_alarmed)[0]
 
 
 @pytest.mark.parametrize(("between", "amplitude"), [("hold", None), ("linear", 0.5)])

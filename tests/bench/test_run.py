@@ -78,7 +78,7 @@ def test_neither_shared_warm_ups_nor_other_cells_threads_or_runs_change_a_bit(st
 def test_dropping_settled_runs_changes_no_score_and_a_cell_scores_as_a_search_does(
     start, clean, fast
 ):
-    dropped = play(start, FAST, drop_alarmed=True)
+    (dropped,) = play_side_by_side(start, [FAST], drop_alarmed=True)
     assert 0.3 < fast.alarm.any(axis=0).mean() < 1.0
     assert np.isnan(dropped.position).any()
     np.testing.assert_array_equal(fast.first_alarm, dropped.first_alarm)
@@ -128,7 +128,7 @@ def test_no_attack_is_not_seen_by_its_tracking_error():
     few = {"runs": 4, "split": "training", "detectors": ("snapshot-chi2",)}
     tracked = {"name": "tracking-1m", "tracking": {"sd_m": 5.0}}
     start, other = (start_of(**few, attack=x)[0] for x in (tracked, "false-position-ideal"))
-    clean = play(start, "none", drop_alarmed=True)
+    (clean,) = play_side_by_side(start, ["none"], drop_alarmed=True)
     np.testing.assert_array_equal(clean.position, play(other, "none").position)
     assert (play(start, {"name": "ramp", "rate_mps": 0.0}).peak > 2.0 * clean.peak).all()
 

@@ -19,7 +19,7 @@ from spoofgym.bench.search.attack_suite import Selection
 from spoofgym.cli import app
 from spoofgym.core.settings import compute_digest
 from spoofgym.detectors import DETECTORS, Shewhart
-from spoofgym.simulation.setup import SPLITS, seed_sequences
+from spoofgym.simulation.setup import SPLITS, seeds_of_runs
 from spoofgym.tasks import DEFAULT_TASK, get_task
 
 from .support import small_suite
@@ -28,7 +28,7 @@ TIMES = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 
 
 
 def words(*given):
-    return [tuple(seed.generate_state(4).tolist()) for seed in seed_sequences(*given)]
+    return [tuple(seed.generate_state(4).tolist()) for seed in seeds_of_runs(*given)]
 
 
 def test_runs_share_no_noise_between_splits_scenarios_runs_and_campaigns():
@@ -37,11 +37,11 @@ def test_runs_share_no_noise_between_splits_scenarios_runs_and_campaigns():
         for entropy in (0, 1)
         for split in SPLITS
         for scenario in ("zhong2025", "groves")
-        for word in words(entropy, split, scenario, 5)
+        for word in words(entropy, split, scenario, range(5))
     }
     assert len(found) == 2 * len(SPLITS) * 2 * 5
     # more runs begin with the same ones
-    few, many = (words(3, "evaluation", "zhong2025", runs) for runs in (4, 9))
+    few, many = (words(3, "evaluation", "zhong2025", range(runs)) for runs in (4, 9))
     assert many[:4] == few
 
 

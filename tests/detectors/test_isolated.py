@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from spoofgym.bench.runs.panel import generators
-from spoofgym.bench.runs.play import WarmStart, play
+from spoofgym.bench.runs.play import WarmStart, play_side_by_side
 from spoofgym.core.children import confine_process, list_children
 from spoofgym.detectors import Calibrated, Never, PooledDetector, isolated, make_detector
 from spoofgym.detectors.base import has_protection_level
@@ -62,7 +62,8 @@ def judged(detector, seen):
 def played(detector, entropy=0, spoofer=RAMP, **options):
     setup = setup_of("tightly-coupled", detector=detector)
     rngs = generators(setup, entropy, "evaluation", np.arange(cheats.RUNS))
-    return play(WarmStart(setup, rngs, threads=1), spoofer, **options)
+    start = WarmStart(setup, rngs, threads=1)
+    return play_side_by_side(start, [spoofer], **options)[0]
 
 
 # --- the same verdicts ------------------------------------------------------------------------

@@ -10,8 +10,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from spoofgym import tasks as detector_tasks
 from spoofgym.attacks import ATTACKS, make_attack
 from spoofgym.bench.experiments.audit import Auditor
@@ -23,6 +21,7 @@ from spoofgym.core.registry import build_spec
 from spoofgym.core.settings import compute_digest, describe
 from spoofgym.detectors import make_detector
 from spoofgym.tasks import DETECTOR_TASKS, AttackFamily, DetectorTask
+from tests.bench.detector_support import displace
 
 KEPT = Path(__file__).with_name("detector_tasks.json")
 RUNS = 2
@@ -77,8 +76,8 @@ def reached(task: DetectorTask, family: AttackFamily) -> dict[str, Any]:
     attack = None
     if family.letters == "m":
         attack = make_attack({**(family.attack or {}), "antenna_m": [0.0, task.alert_limit_m, 0.0]})
-    moved = panel.displacement(PanelAttack(RAMP if attack is None else IDLE, RUNS, attack))
-    return {"numbers": numbers.tolist(), "displacement_m": np.asarray(moved).tolist()}
+    moved = displace(panel, PanelAttack(RAMP if attack is None else IDLE, RUNS, attack))
+    return {"numbers": numbers.tolist(), "displacement_m": moved.tolist()}
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from spoofgym.limits import Bound, Replay, bounds
 from spoofgym.limits.bounds import draw_worlds, zero_alarm_bounds
 from spoofgym.limits.no_alarm import Timing, judge_run
 from spoofgym.simulation import LooselyCoupledSetup, TightlyCoupledSetup
-from spoofgym.simulation.setup import seed_sequences
+from spoofgym.simulation.setup import seeds_of_runs
 
 LINE = {"warmup_s": 60.0, "live_s": 30.0, "attack_s": 30.0, "time_to_alert_s": 5.0}
 SKY = {"turned_deg": (0.0, 360.0), "constellation_time_s": (0.0, 86_400.0), "worlds": 4}
@@ -48,7 +48,7 @@ def test_the_rates_of_a_bound_raise_the_statistic_to_the_threshold_and_no_furthe
     found = zero_alarm_bounds(setup, detector, [case])
     attacker = case.attacker
     u = found.rates_mps[0]
-    replay = Replay(setup, [detector], seed_sequences(0, "training", setup.name, 1))
+    replay = Replay(setup, [detector], seeds_of_runs(0, "training", setup.name, range(1)))
     rates = attacker.rates @ u
     assert np.abs(rates).max() <= setup.attack.rate_limit_mps * (1.0 + 1e-6)
     moved = replay.errors(rates[None], np.array([0]))[setup.steps - 1, 0, 0]

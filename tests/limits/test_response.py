@@ -11,7 +11,7 @@ from spoofgym.detectors import DETECTORS, Calibrated, Ewma, Never, make_detector
 from spoofgym.limits import NotReplayable, Replay, response
 from spoofgym.limits.response import check_replayable
 from spoofgym.simulation import TightlyCoupledSetup
-from spoofgym.simulation.setup import make_generators, seed_sequences
+from spoofgym.simulation.setup import make_generators, seeds_of_runs
 from spoofgym.simulation.simulator import weighs
 from spoofgym.tasks.v1 import DRAWN
 
@@ -43,7 +43,7 @@ def sorted_out():
 
 
 def seeds_of(setup, runs):
-    return seed_sequences(0, "training", setup.name, runs)
+    return seeds_of_runs(0, "training", setup.name, range(runs))
 
 
 def panel_of(setup, detectors, runs):

@@ -25,15 +25,15 @@ from ...core.declared import setting, settings_record
 from ...core.settings import compute_digest
 from ...envs.context import spoofer_context
 from ...limits.bounds import draw_worlds, zero_alarm_bounds
-from ...limits.response import NotReplayable, Replay, check_replayable
+from ...limits.response import Replay
 from ...policies.card import DETECTOR, SPOOFER
-from ...simulation.setup import seed_sequences
+from ...simulation.setup import seeds_of_runs
 from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.scaled import AMPLITUDE, split_amplitude
 from ..runs.players import TUNED, Mixture, PlayerSpec, make_player, specify_spoofer
 from ..scores.statistics import Estimate, FloatArray
 from ..search.attack_suite import SuiteAttack, build_grid, list_fitting_attacks
-from ..search.backends import MixedBackend, ReplayBackend
+from ..search.backends import MixedBackend, ReplayBackend, find_obstacle
 from ..search.bounds import WORLDS
 from ..search.open_loop import SPLIT as SEARCH
 from ..search.open_loop import OpenLoopOptimizer, OpenLoopSearch
@@ -215,13 +215,7 @@ def _curves(
         return [], (f"no optimized open-loop attack: {setup.whose} has no linear response",)
     members, weights = [], []
     for member, weight in zip(mix.members, mix.weights, strict=True):
-        why = "it takes weight off measurements"
-        try:
-            check_replayable(game.detector(member))
-            replayable = game.is_passive(member)
-        except NotReplayable as error:
-            replayable, why = False, str(error)
-        if not replayable:
+        if why := find_obstacle(setup, game.detector(member), "it"):
             notes.append(
                 f"the search for optimized open-loop attacks is without {member.label}: {why}"
             )
@@ -230,7 +224,7 @@ def _curves(
             weights.append(weight)
     if not members:
         return [], tuple(notes)
-    seeds = seed_sequences(entropy, SEARCH, setup.name, budget.blind.runs)
+    seeds = seeds_of_runs(entropy, SEARCH, setup.name, range(budget.blind.runs))
     replay = Replay(setup, members, seeds, threads=game.threads)
     backend = MixedBackend([ReplayBackend(replay, k) for k in range(len(members))], weights)
     starts = {each.label: curve for each in warm if (curve := _get_curve_rates(each)) is not None}

@@ -142,7 +142,7 @@ class Evaluator:
         panel, now = self._panel("evaluation", entry), f"{entry.label}: evaluation runs"
         tick = lambda work: self.progress.advance(work, now)  # noqa: E731
         (attacked,) = panel.play([(PanelAttack(spec, self.runs), 0)], drop=False, tick=tick)
-        record = panel.record(0, attacked, {})
+        record = panel.record(0, attacked)
         moved, counts = record.displacement_m, record.counts
         stealth = score_stealth(moved, record.alarmed, counts)
         samples = statistics.draw_resamples(select_clusters(record.sky)[counts])

@@ -16,7 +16,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -113,11 +113,11 @@ class Pairs(Experiment):
         attack = PanelAttack(spoofer.fixed_spec, panel.runs)
         requests = [(attack, k) for k in range(len(detectors))]
         for k, runs in enumerate(panel.play(requests, drop=False, tick=tick)):
-            yield Result(*panel.record(k, runs, {}).parts())
+            yield Result(*panel.record(k, runs).parts())
 
     def _panel(self, detectors: Sequence[PlayerSpec], alone: bool, context: Context) -> Panel:
         """Runs at the onset in front of detectors that share them."""
-        panels, game = context.cache, self.game
+        game, panels = self.game, cast("dict[Any, Panel]", context.cache)
         key = (alone, *(each.label for each in detectors))
         if key not in panels:
             reported = any(REPORTED in each.knowledge for each in self.spoofers)
@@ -129,8 +129,7 @@ class Pairs(Experiment):
                 context.threads,
                 [PastPositions()] if reported else [],
             )
-        shared: Panel = panels[key]
-        return shared
+        return panels[key]
 
     def matrix(self, results: Reader) -> PayoffMatrix:
         keys = {(a.label, b.label): key for key, (_, a, b) in self.pairs.items()}

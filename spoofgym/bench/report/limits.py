@@ -263,10 +263,9 @@ def draw_lower_limits(record: Record, path: Path) -> Path:
     ]
     if not any(ends):
         ax.text(0.5, 0.5, f"the floor is {UNBOUNDED}", transform=ax.transAxes, ha="center")
-    ax.set_xlim(0.0, time[-1])
+    ax.set(xlim=(0.0, time[-1]), ylabel="displacement [m]")
     ax.set_ylim(bottom=0.0)
     ax.set_xlabel("time since the onset that the attack aims at [s]")
-    ax.set_ylabel("displacement [m]")
     ax.set_title(f"{record['scenario']}, {record['attack']['name']}: floor of a perfect detector")
     if any(ends):
         ax.legend(frameon=False, loc="upper left")

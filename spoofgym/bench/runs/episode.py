@@ -90,10 +90,11 @@ class Episode:
 
         found: dict[str, NDArray[Any]] = {"time_s": self.time}
         for side, column in (("", ATTACKED), ("twin_", TWIN)):
-            found[f"{side}ratio"], found[f"{side}alarm"] = (
-                x[:, column] for x in (self.ratio, self.alarm)
-            )
-            found[f"{side}error_ned_m"] = fill(self.error_n[:, column])
+            found |= {
+                f"{side}ratio": self.ratio[:, column],
+                f"{side}alarm": self.alarm[:, column],
+                f"{side}error_ned_m": fill(self.error_n[:, column]),
+            }
         return {
             **found,
             "induced_error_m": fill(self.induced_error_m),

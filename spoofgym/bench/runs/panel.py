@@ -27,7 +27,7 @@ from ...spoofers import SpooferContext, make_spoofer
 from ...spoofers.base import sees_statistics
 from ...tasks import CANDIDATES, NEAR_ALARM_S, SWITCH_WITHIN_S, TURNING_DEGPS
 from ...truth.sensors import draw_source_keys
-from .play import FloatArray, PanelDetectors, Runs, WarmStart, get_traits, play_side_by_side
+from .play import PanelDetectors, Runs, WarmStart, get_traits, play_side_by_side
 from .record import Mask, RunRecord, compute_displacement, mask_valid_runs
 
 Rngs = Callable[[], list[np.random.Generator]]
@@ -73,10 +73,8 @@ def select_runs(
     holds, found = CONDITIONS[condition](setup), np.zeros(0, dtype=np.int64)
     for first in range(0, MOST_TRIED, BLOCK):
         numbers = np.arange(first, first + BLOCK)
-        seeds = seeds_of_runs(entropy, split, setup.name, numbers.tolist())
-        choice = draw(
-            setup.bounds, draw_source_keys(episode_seeds(make_generators(seeds)))["domain"]
-        )
+        seeds = episode_seeds(generators(setup, entropy, split, numbers))
+        choice = draw(setup.bounds, draw_source_keys(seeds)["domain"])
         found = np.concatenate([found, numbers[holds[setup.find_onsets(choice)]]])
         if len(found) >= runs:
             return found[:runs]
@@ -292,7 +290,7 @@ class Panel:
             self._alone[numbers[0]] = WarmStart(setup, self.rngs(), threads=self.threads)
         return self._alone[numbers[0]].take(rows)
 
-    def record(self, number: int, attacked: Runs, head: dict[str, Any]) -> RunRecord:
+    def record(self, number: int, attacked: Runs) -> RunRecord:
         moved = compute_displacement(self.setup, attacked, self.clean[number])
         records = {
             "warmup_alarm": self.warmup_alarm[:, number],
@@ -301,14 +299,7 @@ class Panel:
             "undetected_displacement_m": moved,
             "sky": self.sky,
         }
-        return RunRecord(head, records)
-
-    def displacement(self, attack: PanelAttack) -> FloatArray:
-        """(D, R') undetected displacement under an attack [m]."""
-        played = self.play([(attack, k) for k in range(len(self.judges))])
-        pairs = zip(played, self.clean, strict=True)
-        moved = [compute_displacement(self.setup, x, twin.first(attack.runs)) for x, twin in pairs]
-        return np.asarray(np.round(np.array(moved), 6), dtype=np.float64)
+        return RunRecord({}, records)
 
 
 def play_searches(

@@ -338,15 +338,9 @@ def _verdicts(simulator: Simulator) -> tuple[FloatArray, NDArray[np.int64]]:
     return simulator.ratio()[:, None], simulator.verdict.alarm.sum(axis=1)[:, None]
 
 
-def play(
-    start: WarmStart,
-    spec: Any,
-    *,
-    drop_alarmed: bool = False,
-    tick: Callable[[float], None] | None = None,
-) -> Runs:
+def play(start: WarmStart, spec: Any) -> Runs:
     """Let a spoofer attack all runs, from the onset to the end of the hold."""
-    return play_side_by_side(start, [spec], drop_alarmed=drop_alarmed, tick=tick)[0]
+    return play_side_by_side(start, [spec])[0]
 
 
 def play_side_by_side(
@@ -355,7 +349,7 @@ def play_side_by_side(
     which: NDArray[np.intp] | None = None,
     *,
     drop_alarmed: bool = False,
-    tick: Callable[[float], None] | None = None,
+    tick: Callable[[float], None] = lambda _: None,
 ) -> list[Runs]:
     """What each detector of a panel, or the one in the loop, makes of attacks on all runs. `specs`,
     `which`: as of an `SpooferController`; `drop_alarmed`: whether runs in which all of them have
@@ -381,13 +375,11 @@ def play_side_by_side(
         alarm[:, k, rows] = blamed.T > 0
         total[:, rows] += blamed.T
         peak[:, rows] = np.maximum(peak[:, rows], ratio.T)
-        if tick is not None:
-            tick(1.0 / epochs)
+        tick(1.0 / epochs)
         if drop_alarmed and (k + 1) % DROP_EVERY == 0:
             open_ = ~alarm[:, : k + 1, rows].any(axis=1).all(axis=0)
             if not open_.any():
-                if tick is not None:
-                    tick((epochs - k - 1) / epochs)
+                tick((epochs - k - 1) / epochs)
                 break
             open_rows = keep_company(np.flatnonzero(open_), np.flatnonzero(~open_))
             if len(open_rows) <= (1.0 - DROP_PART) * len(rows):
@@ -405,8 +397,7 @@ def play_side_by_side(
 def list_attack_epochs(setup: Setup, onset: NDArray[np.int64]) -> NDArray[np.int64]:
     """Epochs of `Setup.epoch_time` at which runs are after their onset. `onset` (R,) of `Runs`;
     returns (K, R), from the first epoch under attack to the end of the hold."""
-    epochs: NDArray[np.int64] = onset + 1 + np.arange(setup.steps + setup.hold)[:, None]
-    return epochs
+    return np.asarray(onset + 1 + np.arange(setup.steps + setup.hold)[:, None])
 
 
 def to_local(vector: FloatArray, frames: FloatArray) -> FloatArray:

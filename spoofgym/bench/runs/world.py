@@ -24,7 +24,7 @@ from ...simulation import LooselyCoupledSetup, SnapshotSetup, TightlyCoupledSetu
 from ...simulation import loose as loosely_coupled
 from ...simulation import robot as wheeled_robot
 from ...simulation.monitors import Monitor
-from ...simulation.setup import Setup, make_generators, seed_sequences
+from ...simulation.setup import Setup, make_generators, seeds_of_runs
 from ...simulation.simulator import run_serially
 from ...spoofers import Scaled, Spoofer, SpooferContext, make_spoofer
 from ...spoofers.build import card_behind
@@ -174,7 +174,7 @@ class World:
         self, entropy: int, split: str, runs: int, first: int = 0
     ) -> list[np.random.Generator]:
         """Generators of the runs of a split, from `first` on."""
-        return make_generators(seed_sequences(entropy, split, self.setup.name, runs, first))
+        return make_generators(seeds_of_runs(entropy, split, self.setup.name, range(first, runs)))
 
     def judge(self, detector: PlayerSpec) -> Detector:
         judge: Detector = detector.build()

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,24 +45,9 @@ Played = tuple[Mask, dict[str, statistics.FloatArray]]
 """Which runs alarm (R,), and their undetected displacement by measure (R,) [m]."""
 
 
-class AttackedRuns(Protocol):
-    """Runs that count, in `sky` (R,), and an attack at any value of its setting within a `span`."""
-
-    span: tuple[float, float]
-    sky: NDArray[np.int64]
-
-    def play(self, value: float) -> Played:
-        """All runs at one value."""
-
-    def sift(self, values: Sequence[float], count: int) -> Mask:
-        """(V, r) whether the first runs, about so many, alarm at some values."""
-
-    def alarms(self, values: statistics.FloatArray, rows: Rows) -> Mask:
-        """(r,) whether some runs alarm, each at its own value."""
-
-
 class EngineRuns:
-    """Runs of a panel on the engine, against one of its detectors; any spoofer."""
+    """Runs of a panel on the engine that count, in `sky` (R,), against one of its detectors, and
+    any spoofer at any value of its setting within a `span`."""
 
     def __init__(
         self,
@@ -79,18 +63,21 @@ class EngineRuns:
         self.sky, self.twin = panel.sky[self.rows], panel.clean[number].take(self.rows)
 
     def play(self, value: float) -> Played:
+        """All runs at one value."""
         attack = PanelAttack(self.player.with_value(value), self.panel.runs)
         (runs,) = self.panel.play([(attack, self.number)], tick=self.tick)
         own = runs.take(self.rows)
         return own.first_alarm > 0, measure_displacement(self.panel.setup, own, self.twin)
 
     def sift(self, values: Sequence[float], count: int) -> Mask:
+        """(V, r) whether the first runs, about so many, alarm at some values."""
         attacks = [PanelAttack(self.player.with_value(value), count) for value in values]
         played = self.panel.play([(each, self.number) for each in attacks], tick=self.tick)
         rows = self.rows[self.rows < count]
         return np.array([runs.first_alarm[rows] > 0 for runs in played])
 
     def alarms(self, values: statistics.FloatArray, rows: Rows) -> Mask:
+        """(r,) whether some runs alarm, each at its own value."""
         different, which = np.unique(values, return_inverse=True)
         specs = [self.player.with_value(value) for value in different.tolist()]
         runs = self.panel.play_each(self.number, specs, which, self.rows[rows])
@@ -98,8 +85,8 @@ class EngineRuns:
 
 
 class ReplayRuns:
-    """Runs of a response replay under curves of the rate; a value is a factor on them. `parts`: a
-    curve (steps,), and the rows of the replay that it plays on."""
+    """The same of a response replay under curves of the rate; a value is a factor on them. `parts`:
+    a curve (steps,), and the rows of the replay that it plays on."""
 
     def __init__(
         self,
@@ -140,6 +127,9 @@ class ReplayRuns:
                 alarmed[mine] = found.first_alarm[0] > 0
             first += len(own)
         return alarmed
+
+
+AttackedRuns = EngineRuns | ReplayRuns
 
 
 def trace_alarms(

@@ -14,9 +14,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ...detectors import Detector
 from ...limits.linear import get_rate_limits
-from ...limits.response import LinearReplay
+from ...limits.response import LinearReplay, NotReplayable, check_replayable
 from ...simulation.setup import Setup
+from ...simulation.simulator import weighs
 from ...spoofers.base import direction, has_heading, list_axes
 from ..runs.play import FloatArray, Runs, WarmStart, induced_error
 from ..runs.record import mask_valid_runs
@@ -33,6 +35,16 @@ def compute_unit_commands(setup: Setup, heading_deg: float | str, target: FloatA
         return direction(names, 0.0 if isinstance(heading_deg, str) else heading_deg)[None]
     parts = {"north": np.cos(target), "east": np.sin(target)}
     return np.stack([parts.get(axis, np.zeros(len(target))) for axis in list_axes(names)], axis=1)
+
+
+def find_obstacle(setup: Setup, judge: Detector, whose: str) -> str:
+    """Why response replay does not hold for a detector in a world; "" where it does. `whose`: what
+    the detector is called."""
+    try:
+        check_replayable(judge)
+    except NotReplayable as error:
+        return str(error)
+    return f"{whose} takes weight off measurements" if weighs(setup, judge) else ""
 
 
 class ReplayBackend:

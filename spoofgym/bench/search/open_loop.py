@@ -27,17 +27,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import special
 
 from ...core.declared import setting, settings_record
+from ...limits.floor import check_linear_victim
 from ...limits.linear import get_rate_limits
-from ...limits.response import NotReplayable, Replay, check_replayable
+from ...limits.response import NotReplayable, Replay
 from ...simulation.domain import draw
-from ...simulation.setup import Setup, seed_sequences
-from ...simulation.simulator import weighs
+from ...simulation.setup import Setup, seeds_of_runs
 from ...simulation.tight import TightlyCoupledSetup
 from ...spoofers.profile import MOST_KNOTS, sample_curve
 from ..runs.panel import Panel, play_searches
@@ -48,7 +49,7 @@ from ..scores.at_budget import score_best
 from ..scores.statistics import aim
 from .alarm_amplitude import tune_at_budget
 from .amplitude import EXACT, Tuning, TuningResult, search_work, tune_amplitude, with_rates
-from .backends import Backend, EngineBackend, ReplayBackend, Rows
+from .backends import Backend, EngineBackend, ReplayBackend, Rows, find_obstacle
 from .bounds import DisplacementBounds
 
 WorkCallback = Callable[[float], None]
@@ -452,8 +453,6 @@ class Optima:
         self.world, self.threads = brackets.world, threads
         own = settings or (QUICK if tuning.quick else LONG)
         self.settings = replace(own, runs=min(own.runs, max(RUNS_EACH * tuning.runs, 8)))
-        self._replay: Replay | None = None
-        self._numbers: dict[str, int] | None = None
         self._unwatched: tuple[WarmStart, Runs] | None = None
 
     @property
@@ -513,34 +512,24 @@ class Optima:
         setup = self.world.setup
         if not isinstance(setup, TightlyCoupledSetup):
             return None, f"{setup.whose} has no linear response here"
+        if why := find_obstacle(setup, self.world.judge(detector), "the detector"):
+            return None, why
         try:
-            judge = self.world.judge(detector)
-            check_replayable(judge)
-            if weighs(setup, judge):
-                return None, "the detector takes weight off measurements"
-            replay, numbers = self._record_replay(setup)
-        except NotReplayable as error:
+            replay, numbers = self._replay
+        except NotReplayable as error:  # of the attack
             return None, str(error)
         return ReplayBackend(replay, numbers[detector.label], heading_deg), ""
 
-    def _record_replay(self, setup: TightlyCoupledSetup) -> tuple[Replay, dict[str, int]]:
-        if self._replay is None or self._numbers is None:
-            judges = {}
-            for entry in self.bounds.detectors:
-                judge = self.world.judge(entry)
-                try:
-                    check_replayable(judge)
-                except NotReplayable:
-                    continue
-                if not weighs(setup, judge):
-                    judges[entry.label] = judge
-            entropy, runs = self.bounds.entropy, self.settings.runs
-            seeds = seed_sequences(entropy, SPLIT, setup.name, runs)
-            everyone = list(judges.values())
-            given = share_skies(setup, entropy, runs)
-            self._replay = Replay(setup, everyone, seeds, threads=self.threads, given=given)
-            self._numbers = {label: k for k, label in enumerate(judges)}
-        return self._replay, self._numbers
+    @cached_property
+    def _replay(self) -> tuple[Replay, dict[str, int]]:
+        """Response replay of all detectors for which it holds, and their numbers in it."""
+        setup, entropy, runs = self.world.setup, self.bounds.entropy, self.settings.runs
+        judges = {entry.label: self.world.judge(entry) for entry in self.bounds.detectors}
+        held = {label: x for label, x in judges.items() if not find_obstacle(setup, x, label)}
+        seeds = seeds_of_runs(entropy, SPLIT, setup.name, range(runs))
+        how: dict[str, Any] = {"threads": self.threads, "given": share_skies(setup, entropy, runs)}
+        replay = Replay(check_linear_victim(setup), list(held.values()), seeds, **how)
+        return replay, {label: k for k, label in enumerate(held)}
 
     def curves_to_fit(self, found: dict[str, Any]) -> dict[str, list[float]]:
         """The curve for the budget, and others that get as far, by their names. Nothing gets
