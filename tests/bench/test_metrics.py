@@ -57,7 +57,7 @@ def width(values, samples):
 def test_bootstrap_interval_of_a_mean_is_the_normal_one():
     rng = np.random.default_rng(2)
     values = rng.standard_normal(400) + 3.0
-    found = statistics.bootstrap_mean(values, statistics.resamples(np.arange(400), rng, 4000))
+    found = statistics.bootstrap_mean(values, statistics.draw_resamples(np.arange(400), 4000))
     spread = Z * values.std() / 20.0
     assert found.value == values.mean()
     assert found.low == pytest.approx(values.mean() - spread, abs=0.1 * spread)
@@ -70,8 +70,8 @@ def test_runs_that_are_alike_are_drawn_together():
     alike = rng.standard_normal(40)[clusters] + 0.5 * rng.standard_normal(1000)
     apart = rng.standard_normal(1000)
     together, plain = (
-        statistics.resamples(clusters, rng, 4000),
-        statistics.resamples(np.arange(1000), rng, 4000),
+        statistics.draw_resamples(clusters, 4000),
+        statistics.draw_resamples(np.arange(1000), 4000),
     )
     means = alike.reshape(40, 25).mean(axis=1)
     assert width(alike, together) == pytest.approx(2 * Z * means.std() / np.sqrt(40), rel=0.1)
@@ -83,7 +83,7 @@ def test_runs_that_are_alike_are_drawn_together():
 def test_the_largest_value_of_a_share_in_every_sample():
     rng = np.random.default_rng(6)
     x = rng.exponential(1.0, 30)
-    samples = statistics.resamples(np.arange(30) // 2, rng, 50)
+    samples = statistics.draw_resamples(np.arange(30) // 2, 50)
     for share in (0.05, 0.5, 1.0):
         found = statistics.largest_of_share(x, share, samples)
         for row, value in zip(samples.astype(int), found, strict=True):

@@ -128,14 +128,14 @@ def test_what_is_exceeded_in_few_runs_is_no_less_than_in_many():
 def test_the_interval_of_an_exceeded_displacement_is_that_of_its_resamples():
     x = np.random.default_rng(3).exponential(10.0, 400)
     attacks = of_winners(winner("x", [Aim(FIRST, 0.5)], x))
-    found = estimate_exceeded(attacks, Aim(FIRST, 0.5), draw_resamples(np.arange(400)))
+    found = estimate_exceeded(Aim(FIRST, 0.5), (attacks, draw_resamples(np.arange(400))))
     assert found.value == compute_upper_quantile(x, 0.5)
     # the median of an exponential, and the spread of its order statistic
     spread = 1.96 * 10.0 / np.sqrt(400)
     assert found.low == pytest.approx(found.value - spread, abs=0.5 * spread)
     assert found.high == pytest.approx(found.value + spread, abs=0.5 * spread)
     none = protected("x", x, np.zeros(400, dtype=np.bool_))
-    assert np.isnan(estimate_exceeded(none, Aim(FIRST, 0.5), np.zeros((9, 0))).value)
+    assert np.isnan(estimate_exceeded(Aim(FIRST, 0.5), (none, np.zeros((9, 0)))).value)
 
 
 @pytest.mark.parametrize(("runs", "bounded"), [(71, False), (72, True)])
@@ -146,7 +146,7 @@ def test_few_runs_have_no_upper_end_of_what_a_twentieth_exceeds(runs, bounded):
         of_winners(winner("x", [Aim(FIRST, 0.05)], x)),
         draw_resamples(np.arange(runs)),
     )
-    found = estimate_exceeded(attacks, Aim(FIRST, 0.05), samples)
+    found = estimate_exceeded(Aim(FIRST, 0.05), (attacks, samples))
     assert found.low < found.value
     assert np.isfinite(found.high) == bounded
     assert interval(found.as_json()).endswith("or more)") != bounded
@@ -192,7 +192,7 @@ def test_intervals_hold_what_the_best_setting_between_played_ones_would_exceed(s
         alarms = np.exp(SPREAD * draw_alarm_amplitudes(rng))
         values = 0.01 * truth * 1.12 ** (np.arange(-2.0, 3.0) + rng.random())
         found = at_values(values.tolist(), alarms, share)
-        each = estimate_exceeded(found, aim, draw_resamples(found.sky, 200))
+        each = estimate_exceeded(aim, (found, draw_resamples(found.sky, 200)))
         held += each.low <= truth <= each.high
     assert held >= 50
 
@@ -201,7 +201,7 @@ def test_nothing_is_taken_between_values_that_get_no_farther():
     # nor where all runs notice the larger value, which says nothing of those below it
     for values, moved in (([0.5, 1.0, 2.0], 200.0), ([1.0, 10.0], 100.0)):
         found = at_values(values, np.full(64, 9.0), 0.5)
-        each = estimate_exceeded(found, Aim(FIRST, 0.5), draw_resamples(found.sky, 50))
+        each = estimate_exceeded(Aim(FIRST, 0.5), (found, draw_resamples(found.sky, 50)))
         assert each == (moved, moved, moved)
 
 

@@ -103,21 +103,19 @@ class AgeProbe(NamedTuple):
 
     def exceed_in_half(self) -> list[float | None]:
         """What the farthest of the ramps exceeds in half of the runs at each age [m]."""
-        found: list[float | None] = []
-        for rows, moved in zip(self.counts, self.displacement.swapaxes(0, 1), strict=True):
-            found.append(float(np.median(moved[:, rows], axis=1).max()) if rows.any() else None)
-        return found
+        each = zip(self.counts, self.displacement.swapaxes(0, 1), strict=True)
+        return [
+            float(np.median(moved[:, rows], axis=1).max()) if rows.any() else None
+            for rows, moved in each
+        ]
 
     def warn(self) -> Iterator[str]:
         """That it finds much less, or nothing, at some greater age."""
         shares = [self.estimate_share(k).value for k in range(len(self.age_s))]
         known = [k for k, share in enumerate(shares) if not math.isnan(share)]
         best = max(known, key=lambda k: shares[k], default=0)
-        worse = []
-        for k in (k for k in known if k > best):
-            less = self.compare_ages(k, best)
-            if less.high < 0.0 and less.value <= -FALL:
-                worse.append((k, less))
+        later = [(k, self.compare_ages(k, best)) for k in known if k > best]
+        worse = [(k, less) for k, less in later if less.high < 0.0 and less.value <= -FALL]
         if not worse:
             return
         first = next((each for each in worse if shares[each[0]] <= BLIND * shares[best]), None)

@@ -439,7 +439,7 @@ def _score_aim(found: record.Protection, aim: record.Aim) -> dict[str, Any]:
     winner, rows = found.worst(aim), found.rows(aim)
     # the worst skies are few, and the interval is for these alone
     alike = np.arange(len(found.sky)) if aim.skies else scores.select_clusters(found.sky)
-    estimate = estimate_exceeded(found, aim, statistics.draw_resamples(alike[rows]))
+    estimate = estimate_exceeded(aim, (found, statistics.draw_resamples(alike[rows])))
     everywhere = found.score_worst(aim._replace(skies=False))
     if aim.skies and estimate.value < (1.0 - scores.ALIKE) * everywhere:
         estimate = statistics.NOTHING  # the few runs of the choice have not found the worst skies

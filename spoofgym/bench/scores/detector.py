@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..runs.record import MEASURES, Aim, Protection, Winner
 from . import statistics
-from .exceeded import estimate_exceeded, estimate_worst
+from .exceeded import estimate_exceeded
 from .scores import SHARES, per_hour, select_clusters
 
 WINDOW, CLEAN = "clean, judged window", "clean"
@@ -46,7 +46,7 @@ class FamilyScore(NamedTuple):
 
     def estimate_quantile(self, share: float) -> statistics.Estimate:
         """What the worst attack exceeds in a share of the runs [m], with its 95 % interval."""
-        return estimate_exceeded(self.protection, Aim(MEASURES[0], share), self.draw_samples())
+        return estimate_exceeded(Aim(MEASURES[0], share), (self.protection, self.draw_samples()))
 
     def draw_samples(self) -> statistics.FloatArray:
         """Bootstrap samples (S, R') of the runs that count, by skies."""
@@ -116,8 +116,8 @@ class DetectorScore:
     def estimate_quantile(self, share: float) -> statistics.Estimate:
         """What the worst attack of all families exceeds in a share of the runs [m], with its 95 %
         interval, in every draw of which it is looked for again."""
-        parts = [(each.protection, each.draw_samples()) for each in self.families]
-        return estimate_worst(parts, Aim(MEASURES[0], share))
+        parts = ((each.protection, each.draw_samples()) for each in self.families)
+        return estimate_exceeded(Aim(MEASURES[0], share), *parts)
 
     def family(self, key: str) -> FamilyScore:
         for each in self.families:

@@ -22,9 +22,8 @@ for a share of 5 %.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import groupby, pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -36,25 +35,10 @@ Between = tuple[FloatArray, FloatArray, float]
 """Displacements (R') at two values of a setting, scaled to a part of the way, and that part."""
 
 
-class Draws(NamedTuple):
-    """What the worst attack of some exceeds in a share of the runs [m]: `value`, and (S,) of the
-    bootstrap samples, `least` of attacks that were played and `most` of settings between, too."""
-
-    value: float
-    least: FloatArray
-    most: FloatArray
-    runs: int
-
-
-def estimate_exceeded(found: Protection, aim: Aim, samples: FloatArray) -> Estimate:
-    """What the worst attack exceeds in the share of an aim [m], with its 95 % interval, whose upper
-    end is NaN where the runs are too few for one. `samples` (S, R') bootstrap samples of the runs
-    that the aim is about."""
-    return estimate_worst([(found, samples)], aim)
-
-
-def estimate_worst(parts: Iterable[tuple[Protection, FloatArray]], aim: Aim) -> Estimate:
-    """The same of the worst of several groups of attacks, with samples of each."""
+def estimate_exceeded(aim: Aim, *parts: tuple[Protection, FloatArray]) -> Estimate:
+    """What the worst of one or more groups of attacks exceeds in the share of an aim [m], with its
+    95 % interval, whose upper end is NaN where the runs are too few for one. `parts`: each group
+    with (S, R') bootstrap samples of the runs that the aim is about."""
     drawn = [_draw_group(found, aim, each) for found, each in parts if found.rows(aim).any()]
     if not drawn:
         return NOTHING
@@ -66,13 +50,17 @@ def estimate_worst(parts: Iterable[tuple[Protection, FloatArray]], aim: Aim) -> 
     return bound_above(Estimate(worst, *ends), aim.share, min(runs))
 
 
-def _draw_group(found: Protection, aim: Aim, samples: FloatArray) -> Draws:
+def _draw_group(
+    found: Protection, aim: Aim, samples: FloatArray
+) -> tuple[float, FloatArray, FloatArray, int]:
+    """What the worst attack exceeds in a share of the runs [m], the same (S,) of the bootstrap
+    samples, of attacks that were played and of settings between, too, and the number of runs."""
     rows, value = found.rows(aim), found.score_worst(aim)
     drawn = draw_exceeded(found, aim, rows, samples)
     most = np.maximum(drawn, value)
     for between in _list_between(found.winners, aim, rows, value):
         np.maximum(most, _draw_between(between, aim, samples, value), out=most)
-    return Draws(value, drawn, most, int(rows.sum()))
+    return value, drawn, most, int(rows.sum())
 
 
 def draw_exceeded(found: Protection, aim: Aim, rows: Mask, samples: FloatArray) -> FloatArray:

@@ -88,14 +88,6 @@ def checked_payoff(payoff: ArrayLike) -> FloatArray:
     return a
 
 
-def gains(payoff: ArrayLike, spoofer: ArrayLike, detector: ArrayLike) -> tuple[float, float]:
-    """Most that each side gains within the matrix (m, n) by leaving a pair of mixes (m,), (n,): not
-    negative; the sum is the exploitability within the matrix."""
-    a, x, y = checked_payoff(payoff), np.asarray(spoofer), np.asarray(detector)
-    value = float(x @ a @ y)
-    return float((a @ y).max()) - value, value - float((x @ a).min())
-
-
 class Spread(NamedTuple):
     """An equilibrium with intervals over bootstrap samples; `pure`: share of pure ones."""
 
@@ -209,7 +201,7 @@ class PayoffMatrix:
         return np.asarray(self.resample_payoffs(np.ones((1, len(self.sky))))[0])
 
     def resample_payoffs(self, samples: FloatArray) -> FloatArray:
-        """(S, m, n) payoffs of bootstrap samples (S, R), as of `statistics.resamples`."""
+        """(S, m, n) payoffs of bootstrap samples (S, R), as of `draw_resamples`."""
         worth = self.payoff.worth(self.displacement, self.alarmed) * self.counts
         runs = (samples @ self.counts.T.astype(np.float64))[:, None, :]
         with np.errstate(invalid="ignore"):

@@ -33,7 +33,7 @@ from scipy import stats
 
 from ...detectors.calibration_file import hourly_rate
 from ..runs.record import Mask
-from .statistics import CONFIDENCE, Estimate, FloatArray, alarm_limit
+from .statistics import CONFIDENCE, Estimate, FloatArray, alarm_limit, keeps
 
 SHARES = (0.5, 0.05)  # shares of the runs in which the headlines' displacements are exceeded
 WORST_SKIES = 0.1  # part of the skies from which an attacker picks the day
@@ -59,7 +59,7 @@ class Stealth(NamedTuple):
         return alarm_limit(self.alarms, self.runs)
 
     def keeps(self, budget: float) -> bool:
-        return self.alarm_limit <= budget + 1e-9
+        return keeps(self.alarms, self.runs, budget)
 
     def seems_to_keep(self, budget: float) -> bool:
         """Whether the rate itself is within a budget, on runs that are too few for its limit."""

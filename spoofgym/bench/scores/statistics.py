@@ -139,31 +139,26 @@ def clustered_proportion(events: ArrayLike, trials: int) -> Estimate:
     return Estimate(p, interval.low, interval.high)
 
 
-def resamples(clusters: ArrayLike, rng: np.random.Generator, count: int = RESAMPLES) -> FloatArray:
-    """(S, R) how often bootstrap samples draw each run: whole clusters (R,), such as skies, are
-    drawn with replacement, as many as there are."""
-    names, where = np.unique(np.asarray(clusters), return_inverse=True)
-    if not len(names):
-        return np.zeros((count, 0))
-    drawn = rng.multinomial(len(names), np.full(len(names), 1.0 / len(names)), size=count)
-    return drawn[:, where].astype(np.float64)
-
-
 def draw_resamples(clusters: ArrayLike, count: int = RESAMPLES) -> FloatArray:
-    """Bootstrap samples that depend on the clusters alone, so that what has the same stays paired.
-    `clusters` (R,) as in `resamples`."""
+    """(S, R) how often bootstrap samples draw each run: whole clusters (R,), such as skies, are
+    drawn with replacement, as many as there are. They depend on the clusters alone, so that what
+    has the same stays paired."""
     return _draw_cached(np.asarray(clusters, dtype=np.int64).tobytes(), count)
 
 
 @lru_cache(maxsize=4)
 def _draw_cached(clusters: bytes, count: int) -> FloatArray:
     of = np.frombuffer(clusters, dtype=np.int64)
-    return resamples(of, np.random.default_rng(len(of)), count)
+    names, where = np.unique(of, return_inverse=True)
+    if not len(names):
+        return np.zeros((count, 0))
+    chances, rng = np.full(len(names), 1.0 / len(names)), np.random.default_rng(len(of))
+    return rng.multinomial(len(names), chances, size=count)[:, where].astype(np.float64)
 
 
 def bootstrap_mean(values: ArrayLike, samples: FloatArray) -> Estimate:
     """Mean over runs with its percentile interval; unknown without runs. `values` (R,) one of each
-    run; a difference between two cells is paired this way; `samples` (S, R) of `resamples`."""
+    run; a difference between two cells is paired this way; `samples` (S, R) of `draw_resamples`."""
     x = np.asarray(values, dtype=np.float64)
     if not len(x):
         return NOTHING
@@ -179,7 +174,7 @@ def bounded_mean(values: ArrayLike, clusters: ArrayLike, least: float) -> Estima
 
     .. math:: c - q (c - \mathrm{least}), \quad c + q (1 - c)
 
-    `values`, `clusters` (R,) as those of `bootstrap_mean` and `resamples`.
+    `values`, `clusters` (R,) as those of `bootstrap_mean` and `draw_resamples`.
     """
     x = np.asarray(values, dtype=np.float64)
     if not len(x) or np.ptp(x) > 0.0:
