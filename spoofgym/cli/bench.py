@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
@@ -106,7 +106,7 @@ def bench(
     from ..bench.experiments.campaign import Campaign
     from ..bench.experiments.evaluate import get_rule
     from ..bench.experiments.suite import SPOOFERS, get_budget
-    from ..bench.report.campaign import WorstRows
+    from ..bench.report.campaign import WorstRows, print_search
     from ..bench.runs.players import add_tuned_setting
     from ..bench.search.attack_suite import Selection
     from ..simulation.engine import processors
@@ -151,8 +151,12 @@ def bench(
             finished=show,
         )
     )
-    if fit_only:
-        _print_fits([search.as_dict() for search in results.searches.values()], as_json)
+    fits = [search.as_dict() for search in results.searches.values()] if fit_only else []
+    if fit_only and as_json:
+        print_json(fits)
+    elif fit_only:
+        for search in fits:
+            print_search(search)
     else:
         _report(results, as_json, reports, verbose, suite, named=bool(spoofer))
 
@@ -201,17 +205,6 @@ def report(
         print_written(written)
         if page.missing:
             typer.echo(f"not finished: {', '.join(page.missing)}")
-
-
-def _print_fits(searches: list[dict[str, Any]], as_json: bool) -> None:
-    """Print what was tried for every pair."""
-    from ..bench.report.campaign import print_search
-
-    if as_json:
-        print_json(searches)
-    else:
-        for search in searches:
-            print_search(search)
 
 
 def _report(

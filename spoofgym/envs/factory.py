@@ -167,14 +167,10 @@ def brings_detector(inner: Any) -> bool:
     present = inner.detector_setting
     if present is None or inner.wrapped:
         return present is None
-    return present in (NEVER, {"name": NEVER}) or bool(present == _detector_of_id(inner))
-
-
-def _detector_of_id(inner: Any) -> Any:
-    """Detector that the registered id of an environment brings, None for none."""
     spec = getattr(inner, "spec", None)
     known = None if spec is None else gym.registry.get(spec.id)
-    return None if known is None else known.kwargs.get("detector")
+    brought = None if known is None else known.kwargs.get("detector")
+    return present in (NEVER, {"name": NEVER}) or bool(present == brought)
 
 
 def composable(env: Any, *, unset: bool = True) -> Any:

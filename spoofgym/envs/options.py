@@ -39,13 +39,13 @@ def whole_reset(env: Any) -> Iterator[None]:
     env._halfway = False
 
 
-def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -> None:
+def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str]) -> None:
     if options is not None and not isinstance(options, Mapping):
         raise TypeError(f"`options` of a reset must be a dict, got {options!r}")
     for name in options or ():
         if name not in valid:
             warnings.warn(
-                f"reset has no option {name!r}; valid: {', '.join(valid) or 'none'}",
+                f"reset has no option {name!r}; valid: {', '.join(valid)}",
                 UserWarning,
                 stacklevel=3,
             )

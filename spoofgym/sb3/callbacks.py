@@ -48,9 +48,7 @@ class RecordEpochs(VecEnvWrapper):
 
     def __init__(self, venv: VecEnv, folder: str | Path) -> None:
         super().__init__(venv)
-        inner: Any = venv
-        while isinstance(inner, VecEnvWrapper):
-            inner = inner.venv
+        inner: Any = venv.unwrapped
         if not isinstance(inner, SpoofVecEnv):
             raise TypeError(f"this wrapper needs a SpoofVecEnv, wrapped or not, got {inner!r}")
         if inner.side == "detector":

@@ -302,8 +302,7 @@ class AuditCells(Experiment):
             if part == FALSE_ALARMS:
                 alarms[label] = dict(results[key].arrays)
             elif isinstance(part, tasks.AttackFamily):
-                found = results[key]
-                worst = Protection.from_parts(found.arrays, found.record)
+                worst = Protection.from_parts(*results[key][:2])
                 families[label].append(FamilyScore(part.key, part.held_out, limit, worst))
         return [
             DetectorScore(

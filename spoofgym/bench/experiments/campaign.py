@@ -84,7 +84,7 @@ class CampaignResults:
     def runs(self, detector: str, spoofer: str) -> RunRecord | None:
         """What a pair did."""
         found = self._get(RUNS, detector, spoofer)
-        return None if found is None else RunRecord.from_parts(found.arrays, found.record)
+        return None if found is None else RunRecord.from_parts(*found[:2])
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """All finished runs as columns (R,): detector, spoofer, run, and what all pairs record."""
@@ -119,7 +119,7 @@ class CampaignResults:
     def protection(self, detector: str) -> Protection | None:
         """What the worst attacks of the suite did against a detector."""
         found = self._get(PROTECTION, detector)
-        return None if found is None else Protection.from_parts(found.arrays, found.record)
+        return None if found is None else Protection.from_parts(*found[:2])
 
     def limits(self, *detector: str) -> dict[str, Any] | None:
         """Zero-alarm bound of a detector, or the floor of the world."""
@@ -380,7 +380,8 @@ class _Players(NamedTuple):
 
     def panel(self, split: str, runs: int) -> Panel:
         """Runs of a split at their onset; those of the last detectors stay in the cache."""
-        suite, panels = self.suite, self.context.cache.setdefault("panels", {})
+        suite = self.suite
+        panels: dict[Any, Panel] = self.context.cache.setdefault("panels", {})
         labels = tuple(each.label for each in self.detectors)
         if (labels, split) not in panels:
             for key in [key for key in panels if key[0] != labels]:
@@ -392,8 +393,7 @@ class _Players(NamedTuple):
                 self.context.threads,
                 suite.world.watched_for(suite.spoofer_players),
             )
-        found: Panel = panels[labels, split]
-        return found
+        return panels[labels, split]
 
     def records(self, detectors: Mapping[int, PlayerSpec], spoofer: PlayerSpec) -> list[RunRecord]:
         """What a spoofer does in the evaluation runs of detectors, by their numbers."""

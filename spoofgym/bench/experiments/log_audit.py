@@ -260,11 +260,7 @@ class LogAudit(Experiment):
         """Audit of the detector."""
         found = {cell.key.split(" ")[0]: results[cell.key] for cell in self.cells()}
         every, played, limit = self.panels[2], self.panels[1], self.of.alert_limit_m
-        families = []
-        for family in self.of.families:
-            parts = found[family.key]
-            worst = Protection.from_parts(parts.arrays, parts.record)
-            families.append(FamilyScore(family.key, False, limit, worst))
+        worst = [(x.key, Protection.from_parts(*found[x.key][:2])) for x in self.of.families]
         score = DetectorScore(
             task=self.of.key,
             detector=self.label,
@@ -272,7 +268,7 @@ class LogAudit(Experiment):
             runs=played.runs,
             selection_runs=self.panels[0].runs,
             entropy=None,
-            families=tuple(families),
+            families=tuple(FamilyScore(key, False, limit, each) for key, each in worst),
             false_alarms=dict(found["false"].arrays),
             window_s=every.replay.epochs * every.replay.interval_s,
         )

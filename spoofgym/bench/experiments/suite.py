@@ -242,12 +242,6 @@ class Suite:
             for label, points in self._points.items()
         )
 
-    def _calibrations(self) -> dict[str, Any]:
-        """Scales of the detectors that request a rate, for `config`, and those that never alarm."""
-        named = {label: [p._asdict() for p in points] for label, points in self._points.items()}
-        never = [e.label for e in self.detector_players if not e.build().calibrates]
-        return {"calibrations": named, "never_alarm": never}
-
     @cached_property
     def config(self) -> dict[str, Any]:
         """Everything that the results depend on, JSON-able. What comes from outside of spoofgym is
@@ -274,7 +268,12 @@ class Suite:
             **self.world.config,
             "detectors": _without_folders(each.as_config() for each in self.detector_players),
             "spoofers": _without_folders(each.as_config() for each in self.spoofer_players),
-            **self._calibrations(),
+            "calibrations": {x: [p._asdict() for p in each] for x, each in self._points.items()},
+            "never_alarm": [
+                player.label
+                for player, judge in zip(self.detector_players, judges, strict=True)
+                if not judge.calibrates
+            ],
             "runs": self.runs,
             "entropy": self.entropy,
             "splits": dict(SPLITS),
@@ -297,12 +296,12 @@ class Suite:
         """Name, version and search of the attack suite; None where it is not played."""
         if self.selection is None:
             return None
-        named = {
+        return {
             "name": attack_suite.NAME,
             "version": attack_suite.VERSION,
             "digest": attack_suite.suite_digest(self.suite_attacks),
+            **dataclasses.asdict(self.selection),
         }
-        return {**named, **dataclasses.asdict(self.selection)}
 
     @cached_property
     def digest(self) -> str:

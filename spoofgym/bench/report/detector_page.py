@@ -173,7 +173,7 @@ def load_families(store: Store) -> dict[str, list[FamilyScore]]:
     scores: dict[str, list[FamilyScore]] = {}
     for (named, found), size in zip(cells, sizes, strict=True):
         if size == usual:
-            family, worst = named["family"], Protection.from_parts(found.arrays, found.record)
+            family, worst = named["family"], Protection.from_parts(*found[:2])
             limit_m = store.config["config"]["alert_limit_m"]
             score = FamilyScore(family["key"], family["held_out"], limit_m, worst)
             scores.setdefault(worst.detector, []).append(score)

@@ -290,8 +290,7 @@ def draw_lines(
             _draw_limit(ax, limit_m)
         if "%" in y:
             ax.set_ylim(-2.0, 110.0)  # with room for the name of a limit
-        ax.set_xlabel(x)
-        ax.set_ylabel(y)
+        ax.set(xlabel=x, ylabel=y)
 
     return draw
 

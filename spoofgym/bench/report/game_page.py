@@ -73,7 +73,7 @@ def build_game_page(store: Store, scores: Row | None = None, replay: Row | None 
     for cell, result in store.read_all():
         named = cell.identity or {}
         labels = (format_label(each, None) for each in (named["spoofer"], named["detector"][0]))
-        found[tuple(labels)] = RunRecord.from_parts(result.arrays, result.record)
+        found[tuple(labels)] = RunRecord.from_parts(*result[:2])
     every = product(*(dict.fromkeys(labels) for labels in zip(*found, strict=True)))
     rows = [(*pair, record) for pair, record in found.items()]
     shared: dict[str, Any] = {
