@@ -82,7 +82,7 @@ def select_runs(
             return found[:runs]
     raise ValueError(
         f"of {MOST_TRIED} runs in {setup.name} only {len(found)} have an onset at a {condition}, "
-        f"and {runs} are wanted: none of its flights may have one where an attack can start"
+        f"and {runs} are wanted: perhaps no flight has one where an attack can start"
     )
 
 
