@@ -46,8 +46,13 @@ def check_driver(cuda: Any) -> None:
         )
 
 
-def check_free_memory(receivers: int, each: int, free: int) -> None:
-    """Raise a ValueError where receivers of `each` bytes need more than is `free` on a device."""
+def check_free_memory(memory: Any, device: Any, receivers: int, each: float) -> None:
+    """Raise a ValueError where receivers of `each` bytes need more than a device has free; `memory`
+    is ``torch.cuda``, part of whose own may be free."""
+    if device.type == "cpu":  # which is simulated
+        return
+    free = memory.mem_get_info(device)[0]
+    free += memory.memory_reserved(device) - memory.memory_allocated(device)
     most = math.floor(0.95 * free / each)
     if receivers > most:
         raise ValueError(

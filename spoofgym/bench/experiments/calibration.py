@@ -141,7 +141,7 @@ def play_on_device(
     torch, found = import_torch(), []
     for detector in detectors:
         judged = setup.copy_with(detector=detector, monitors=())
-        check_receivers(judged)
+        check_receivers(judged, attacked=False)
         simulator = judged.simulator(len(rngs), run_serially)
         simulator.start_episodes(copy.deepcopy(rngs))
         with _device, torch.no_grad():
