@@ -110,8 +110,10 @@ def bench(
     from ..bench.report.campaign import WorstRows
     from ..bench.runs.players import add_tuned_setting
     from ..bench.search.attack_suite import Selection
+    from ..core.devices import check_device
     from ..simulation.engine import processors
 
+    check_device(device)
     size = get_budget(budget, runs=runs, training_runs=training_runs, selection_runs=selection_runs)
     chosen = size.selection_runs  # a quarter of them sifts
     standard = task is None and not options.find_passed(opt.WORLD_OPTIONS)

@@ -12,6 +12,7 @@ from typing import Any
 from numba import config
 
 from .extras import name_extra
+from .registry import check_choice
 
 SIMULATED = bool(config.ENABLE_CUDASIM)
 """Whether the simulator stands for a device: Python for every thread, one after the other."""
@@ -33,6 +34,13 @@ def import_torch() -> Any:
 
         check_driver(cuda)
     return torch
+
+
+def check_device(device: str) -> None:
+    """Raise unless it is the processor, or a device whose packages and driver are here."""
+    check_choice("device", device.partition(":")[0], ("cpu", "cuda"))
+    if device != "cpu":
+        import_torch()
 
 
 def check_driver(cuda: Any) -> None:

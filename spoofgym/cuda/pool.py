@@ -97,8 +97,8 @@ class Fleet:
         each = sum(array.nbytes / len(array) for array in arrays.values())
         check_free_memory(torch.cuda, device, m, each)
         self.tensors = Tensors(torch, arrays, device)
-        whole = simulator.setup.epochs_each
-        self._left = whole - 1 - simulator.epochs % whole
+        length = simulator.setup.epochs_each
+        self._left = length - 1 - simulator.epochs % length
         found = (self.tensors.views[name] for name in ("alarmed", "ratio", "left", "command"))
         self._known = self.name_receivers(self.tensors), self.shared, *found
 

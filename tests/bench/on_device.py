@@ -24,7 +24,7 @@ from spoofgym.detectors import make_detector
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 from spoofgym.envs.factory import make_core, select_victim
 from spoofgym.simulation.setup import make_generators, seeds_of_runs
-from tests.command_line import read, refused
+from tests.command_line import FIXED, PAPERS, call, read, refused
 
 WHERE = "cpu", "cuda"
 RATES = 0.5, 5.0
@@ -83,8 +83,26 @@ def compare_scores(settings: dict[str, Any], detector: Any) -> int:
     return len(found[0]["at_budget"])
 
 
+def compare_campaigns(detectors: list[str]) -> int:
+    """`spoofgym bench` on both; what is not there on a device is played on the processor."""
+    times = ("warmup", 2), ("live", 2), ("attack", 2), ("time-to-alert", 1)
+    line = [*PAPERS, *FIXED, *(word for x, s in times for word in (f"--{x}-s", s))]
+    line += ["--set", "imu_rate_hz=10", "--runs", 2, "--spoofer", "ramp:rate_mps=0.4", "--json"]
+    line += [word for name in detectors for word in ("--detector", name)]
+    found = []
+    for device in WHERE:
+        with TemporaryDirectory() as folder:
+            result = call("bench", *line, "--out", folder, "--device", device)
+        assert result.exit_code == 0, result.output
+        found.append({**json.loads(result.stdout), "folder": None})
+        assert ("not on cuda: innovation-rate" in result.stderr) == (device == "cuda")
+    assert found[0] == found[1]
+    return len(found[0]["cells"])
+
+
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
-    work = {each.__name__: each for each in (count_false_alarms, compare_attacks, compare_scores)}
+    several = count_false_alarms, compare_attacks, compare_scores, compare_campaigns
+    work = {each.__name__: each for each in several}
     for name, *given in json.loads(sys.argv[1]):
         print(json.dumps({name: work[name](*given)}), flush=True)

@@ -24,11 +24,12 @@ def test_attacks_and_clean_runs_are_those_of_the_processor():
 
 
 @pytest.mark.nightly
-def test_searches_for_amplitudes_are_those_of_the_processor():
+def test_searches_for_amplitudes_and_campaigns_are_those_of_the_processor():
     other = {**TACTICAL, "attack": {"name": "per-channel", **AGILE}}
     found = compare(
         ["compare_attacks", other, DETECTORS["windowed-chi2"]],
         ["compare_scores", PULLED, DETECTORS["ewma"]],
         ["compare_scores", PULLED, DETECTORS["cusum"]],
+        ["compare_campaigns", ["ewma", "innovation-rate"]],
     )
-    assert [*found[1]] == ["compare_scores"]
+    assert found[-1] == {"compare_campaigns": 4}

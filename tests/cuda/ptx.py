@@ -34,8 +34,8 @@ compile_ir = nvvm.compile_ir
 
 def compile_for_all(name: str, llvmir: Any, **options: Any) -> bytes:
     """Print name, architecture, length and fused multiply-adds in double precision."""
-    ptx = b""
-    for number in sys.argv[1:]:
+    ptx = b""  # all of `age` is part of the step, too
+    for number in sys.argv[1:2] if name == "age" else sys.argv[1:]:
         ptx = compile_ir(llvmir, **options | {"arch": f"compute_{number}"})
         assert f".target sm_{number}".encode() in ptx
         fused = len(re.findall(rb"\bfma\.\w+\.f64", ptx))

@@ -289,7 +289,7 @@ class Campaign(Experiment):
         """Why detectors are played on the processor, by their labels, where a device is given."""
         suite, found = self.suite, {}
         for entry in suite.detector_players if self.device != "cpu" else ():
-            if lacking := find_lacking(suite.build_setup(entry), self.device):
+            if lacking := find_lacking(suite.setup(entry), self.device):
                 found[entry.label] = lacking
         return found
 

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.devices import SIMULATED, import_torch
-from ...core.registry import check_choice
+from ...core.devices import SIMULATED, check_device, import_torch
 from ...detectors import Verdict
 from ...detectors.calibrated import resolve_thresholds
 from ...simulation.engine import Engine
 from ...simulation.setup import Setup
 from ...simulation.simulator import FixedChoices, Rngs, Rows, Sequel
+from ...simulation.tight import TightlyCoupledSimulator
 
 TOGETHER = 16_384
 """Runs that attacks of one pass have together."""
@@ -24,8 +24,7 @@ def find_lacking(setup: Setup, device: str) -> str | None:
     nothing."""
     from ...cuda.supported import check_receivers
 
-    check_choice("device", device.partition(":")[0], ("cpu", "cuda"))
-    import_torch()  # or what is missing
+    check_device(device)
     resolve_thresholds(setup.detector, setup)
     if setup.monitors:
         return f"device='cuda' does not have the monitor {type(setup.monitors[0]).__name__}"
@@ -39,6 +38,8 @@ def find_lacking(setup: Setup, device: str) -> str | None:
 class DeviceEngine(Engine):
     """Receivers that go through their epochs on a GPU, with the bits of the processor. `simulator`
     has what spoofers and scores read of the last epoch: position, commands, weights and verdict."""
+
+    simulator: TightlyCoupledSimulator
 
     def __init__(self, receivers: int, setup: Setup, *, device: str) -> None:
         if lacking := find_lacking(setup, device):
@@ -97,5 +98,5 @@ class DeviceEngine(Engine):
         for name in memory.keys() & tensors.tensors.keys():
             memory[name] = read(tensors[name])
         simulator.weights = read(tensors["weights"])
-        judged = (read(tensors[name]) for name in ("statistic", "threshold", "alarm"))
-        simulator.verdict = Verdict(*judged, simulator.weights)
+        found = {name: read(tensors[name]) for name in ("statistic", "threshold", "alarm")}
+        simulator.verdict = Verdict(**found, weights=simulator.weights)
