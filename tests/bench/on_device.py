@@ -76,7 +76,7 @@ def compare_attacks(settings: dict[str, Any], detector: Any) -> int:
 def compare_scores(settings: dict[str, Any], detector: Any) -> int:
     """Scores of a ramp that is fitted to the alarm budget, by searches on both."""
     sizes = {"runs": 2, "fit_runs": 59, "rule": "exact"}
-    named = {name: settings[name] for name in ("timeline", "attack")}
+    named = {"env": PAPERS[1], **{name: settings[name] for name in ("timeline", "attack")}}
     known = {"detector": detector, **named, "settings": {"imu_rate_hz": settings["imu_rate_hz"]}}
     found = [evaluate("ramp", **sizes, **known, device=each).as_dict() for each in WHERE]
     assert found[0] == found[1]
