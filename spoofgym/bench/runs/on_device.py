@@ -58,16 +58,17 @@ class DeviceEngine(Engine):
         self, rngs: Rngs, rows: Rows | None = None, given: FixedChoices | None = None
     ) -> None:
         """Start new episodes of all receivers on the processor, and warm them up on the device."""
+        assert rows is None  # a `WarmStart` starts all
         self.simulator.start_episodes(rngs, given)
         self._begin()
         _, self.simulator.memory["warmup_alarm"][:] = self._fleet.warm_up()
         self._show()
 
     def take_over(self, other: Engine, rows: Rows) -> None:
-        super().take_over(other, rows)
-        assert isinstance(other, DeviceEngine)  # both are of one `WarmStart`
         from ...cuda.memory import ALIKE
 
+        assert isinstance(other, DeviceEngine)  # both are of one `WarmStart`
+        super().take_over(other, rows)
         self._begin()
         theirs, chosen = other._fleet.tensors, import_torch().from_numpy(rows)
         for name, tensor in self._fleet.tensors.tensors.items():
