@@ -33,7 +33,7 @@ RATES = 0.5, 5.0
 def count_false_alarms(settings: dict[str, Any], detectors: list[str]) -> int:
     """`spoofgym calibrate` on both: the same screen and files; a rate that so few runs can't count
     is refused before any is played."""
-    line = ["calibrate", "--scenario", "zhong2025", "--runs", "4", "--hold-out", "2", "--json"]
+    line = ["calibrate", "--scenario", "zhong2025", "--runs", "2", "--hold-out", "1", "--json"]
     line += [word for name in detectors for word in ("--detector", name)]
     line += [word for x in settings.items() for word in ("--set", f"{x[0]}={json.dumps(x[1])}")]
     found = []
