@@ -94,8 +94,7 @@ class Fleet:
             "command": np.zeros((m, len(simulator.setup.action_names))),
             **dict.fromkeys(("faults", "left"), np.zeros(m, dtype=np.int64)),
         }
-        each = sum(array.nbytes / len(array) for array in arrays.values())
-        check_free_memory(torch.cuda, device, m, each)
+        check_free_memory(torch.cuda, device, m, sum(x.nbytes / len(x) for x in arrays.values()))
         self.tensors = Tensors(torch, arrays, device)
         length = simulator.setup.epochs_each
         self._left = length - 1 - simulator.epochs % length

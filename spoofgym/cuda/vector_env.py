@@ -76,9 +76,10 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
     ) -> None:
         opt.check_vector_settings(num_envs, render_mode)
         whole_number("`pasts`", pasts, 1)
-        if opt.parse_autoreset_mode(autoreset_mode) is not AutoresetMode.SAME_STEP:
-            raise ValueError("device='cuda' resets in the same step: `autoreset_mode` 'same_step'")
-        self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+        mode = opt.parse_autoreset_mode(autoreset_mode)
+        if mode is not AutoresetMode.SAME_STEP:
+            raise ValueError(f"device='cuda' needs `autoreset_mode` 'same_step', got {mode.name}")
+        self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.render_mode, self.num_envs = None, num_envs
         check_choice("device", str(device).partition(":")[0], ("cuda",))
         self._torch = torch = import_torch()

@@ -189,7 +189,7 @@ REFUSED = {
     ),
     "local": (
         lambda r: {"velocity_e": np.tile([60.0, 52.0, 0.0], (len(r.gnss_time), 1))},
-        "but positions move differently",
+        "but it differs from the motion of the positions",
     ),
     "km/h": (lambda r: {"velocity_e": 3.6 * np.asarray(r.velocity_e)}, "is it in km/h"),
     "held": (

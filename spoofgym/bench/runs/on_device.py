@@ -71,9 +71,14 @@ class DeviceEngine(Engine):
         super().take_over(other, rows)
         self._begin()
         theirs, chosen = other._fleet.tensors, import_torch().from_numpy(rows)
+        own: set[str] = set()
+        if self.setup.attack != other.setup.attack:  # which begins in these rows
+            attacks = self.simulator.attack.memory, other.simulator.attack.memory
+            own = {*attacks[0], *attacks[1], "offset_work", "command"}
         for name, tensor in self._fleet.tensors.tensors.items():
             alike = name in ALIKE and len(theirs[name]) == 1
-            tensor.copy_(theirs[name] if alike else theirs[name][chosen])
+            if name not in own:
+                tensor.copy_(theirs[name] if alike else theirs[name][chosen])
 
     def step(self, command: NDArray[np.float64] | None, sequel: Sequel | None = None) -> Verdict:
         from ...cuda._kernels import ALL, JUDGED
