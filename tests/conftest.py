@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import math
 import os
@@ -77,6 +78,15 @@ def _torch_threads() -> Iterator[None]:
     yield
     if torch is not None:
         torch.set_num_threads(before)
+
+
+@pytest.fixture(autouse=True)
+def _torch_exporter() -> None:
+    """Keep torch's list of what it can export, which takes it 1.5 s for each file."""
+    exporter = sys.modules.get("torch.onnx._internal.exporter._registration")
+    registry = getattr(exporter, "ONNXRegistry", None)
+    if registry is not None and not hasattr(registry.from_torchlib, "cache_info"):
+        registry.from_torchlib = staticmethod(functools.cache(registry.from_torchlib))
 
 
 @pytest.fixture
