@@ -13,7 +13,7 @@ from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
 ROOMS = {
-    "cli": "the command line, one file a command",
+    "cli": "the command line, one file per command",
     "sb3": "stable-baselines3",
     "export": "torch to ONNX",
     "testing": "checks of your own parts",
@@ -22,7 +22,7 @@ ROOMS = {
     "bench": "detectors x spoofers x paired seeds: runs, scores, searches, experiments, reports",
     "duel": "spoofer against detector, views of one side",
     "tasks": "S1 to S3, D1 to D3 and the first suite, frozen settings",
-    "cuda": "the vector environment on a GPU, a thread a receiver",
+    "cuda": "the vector environment on a GPU, a thread per receiver",
     "envs": "what Gymnasium sees: one step path, terms, score, wrappers, pictures",
     "spoofers": "who decides what the attack does",
     "limits": "what no detector and no spoofer can beat",

@@ -328,10 +328,10 @@ def test_a_model_without_its_normalization_is_refused(tmp_path):
     score = partial(judge.score, amplitude=1.0)
     for bare in (make(), VecNormalize(make())):  # without statistics, or with none of its own
         for use in (score, partial(onnx, path=tmp_path / "x.onnx")):
-            with pytest.raises(ValueError, match=r"behind a VecNormalize.*env=VecNormalize\.load"):
+            with pytest.raises(ValueError, match=r"with a VecNormalize.*env=VecNormalize\.load"):
                 use(load(env=bare))
     for use in (score, partial(onnx, env=make(), path=tmp_path / "x.onnx")):
-        with pytest.raises(ValueError, match="behind a VecNormalize"):
+        with pytest.raises(ValueError, match="trained with a VecNormalize"):
             use(load())
     assert not (tmp_path / "x.onnx").exists()
     again = score(load(env=VecNormalize.load(statistics, make())))

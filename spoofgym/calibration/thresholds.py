@@ -212,8 +212,8 @@ class _Work:
             mine = mine._replace(before=mine.before * unit, judged=mine.judged * unit)
             if not (np.isfinite(mine.before).all() and np.isfinite(mine.judged).all()):
                 raise ValueError(
-                    f"{names[k]}: a ratio of statistic to threshold is not finite, so that its "
-                    "runs have no order"
+                    f"{names[k]}: a ratio of statistic to threshold is not finite, so its runs "
+                    "can't be sorted"
                 )
             self._write(player, detector, mine, in_loop, rescale)
         player.forget()

@@ -65,9 +65,9 @@ def limits(
     `spoofgym limits --detector snapshot-chi2 --detector aime` with the bounds of two detectors;
     `spoofgym limits --task T3 --figure floor.png` for a task, with a picture.
 
-    The default world and S1 take a minute or two of a processor, as each of 32 worlds begins when
-    the receiver is switched on, up to an hour before the attack; `--worlds 4` takes ten seconds.
-    Progress is printed on stderr.
+    The default world, S1, takes two to three minutes of a processor: each of 32 worlds begins when
+    the receiver is switched on, up to an hour before the attack; `--worlds 4` takes some twenty
+    seconds. Progress is printed on stderr.
     """
     from ..bench.report import limits as report
     from ..core.plots import check_picture

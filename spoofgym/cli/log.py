@@ -144,8 +144,8 @@ def attack_(
     """Compute how far attacks get unseen on a clean log's noise, by its filter's linear response.
 
     The log needs the matrices of its filter.  Constant and accelerating ramps, a step and an
-    optimized open-loop attack are played on its windows, each where the alarm budget allows it and
-    where half of the windows alarm.
+    optimized open-loop attack are played on its windows, each at two sizes: at the alarm
+    budget, and where half of the windows alarm.
     """
     from ..bench.report.figures import Dot, DotRow, dots_height, draw_dots, save_drawing
     from ..bench.report.table import Table, interval, percent
@@ -245,8 +245,8 @@ def import_log(
     ),
     as_json: opt.Json = False,
 ) -> None:
-    """Write a log of innovations, from an autopilot's log or from raw measurements, over which a
-    filter then runs. Or convert such a log to its other form, table or matrices."""
+    """Write a log of innovations, from an autopilot's log, or from raw measurements by running a
+    filter over them. Or convert such a log to its other form, table or matrices."""
     from ..receiver.autopilots import read_dataflash, read_ulog
     from ..receiver.log import InnovationLog, check_written
     from ..receiver.raw_measurements import read_raw_log

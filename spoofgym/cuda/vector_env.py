@@ -84,7 +84,9 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         check_vector_settings(num_envs, render_mode)
         whole_number("`pasts`", pasts, 1)
         if parse_autoreset_mode(autoreset_mode) is not AutoresetMode.SAME_STEP:
-            raise ValueError("device='cuda' resets in the same step: `autoreset_mode` 'same_step'")
+            raise ValueError(
+                f"device='cuda' needs `autoreset_mode` 'same_step', got {autoreset_mode!r}"
+            )
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
         self.render_mode, self.num_envs = None, num_envs
         check_choice("device", str(device).partition(":")[0], ("cuda",))

@@ -592,8 +592,8 @@ def _check_degrees(time: Any, latitude: Any, longitude: Any, groundspeed: Any) -
     fast = float(np.nanmedian(np.append(groundspeed, 0.0)))
     if fast > 30.0 and moved < 0.05 * fast * np.ptp(time[known]):
         raise ValueError(
-            f"places hardly move by degrees, {moved:.0f} m in {np.ptp(time[known]):.0f} s at "
-            f"{fast:.0f} m/s: are latitude and longitude in radians?"
+            f"read in degrees, positions move by {moved:.0f} m in {np.ptp(time[known]):.0f} s, at "
+            f"a groundspeed of {fast:.0f} m/s: are latitude and longitude in radians?"
         )
 
 

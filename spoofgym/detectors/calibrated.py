@@ -297,7 +297,7 @@ def check_drifts(detector: Detector) -> None:
     if not detector.drifts:
         raise ValueError(
             f"`thresholds` 'rescaled' is for detectors with a drift term, which "
-            f"{type(detector).__name__} is not: there it is the same as a factor on the threshold"
+            f"{type(detector).__name__} is not: for it a factor on the threshold does the same"
         )
 
 

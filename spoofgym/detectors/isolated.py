@@ -248,7 +248,9 @@ class _Bound:
         if self.failure is not None:
             raise self.failure
         if self._parent != os.getpid():
-            raise RuntimeError(f"{self._name} is bound in a process that this one was forked from")
+            raise RuntimeError(
+                f"{self._name} was bound before this process was forked: make a new one here"
+            )
         limit_s, content = self._limits[not self._judged], pickle.dumps((work, *given))
         self.failure = IsolationError(f"{self._name} was stopped", "hangs")  # as by Ctrl-C
         try:

@@ -118,6 +118,6 @@ def check_no_latent(knowledge: str, latent_names: Sequence[str] | None = None) -
     seen = f", which observes {', '.join(latent_names)}" if latent_names else ""
     raise ValueError(
         f"there is no bound by divergence for a spoofer with the knowledge {knowledge!r}{seen}: it "
-        "may see an error that the measurements alone do not tell, so that its commands are no "
-        "function of past measurements, and d^2 / 2 is not their divergence"
+        "may see an error that no measurement shows, so its commands are not a function of past "
+        "measurements, and their divergence is not d^2 / 2"
     )

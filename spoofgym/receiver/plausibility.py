@@ -139,7 +139,7 @@ def _check_places(recording: PositionRecording) -> None:
     for k in np.flatnonzero(speed > FASTEST)[:1]:
         raise ValueError(
             f"`velocity_e` must be at most {FASTEST:g} m/s, got {speed[k]:g} at "
-            f"{_time(recording, k)} (which unit has it?)"
+            f"{_time(recording, k)} (what is its unit?)"
         )
 
 
@@ -175,12 +175,12 @@ def _check_motion(recording: PositionRecording, initial: NavState) -> None:
     found, cause = misfit(lambda v: v), min(causes, key=lambda x: misfit(causes[x]))
     likely = misfit(causes[cause]) < LIKELY * found
     if pace < HELD * speed:
-        cause = "are positions held from one solution to the next, or which unit has it"
+        cause = "are positions held from one solution to the next, or what is its unit"
         likely, found = True, 1.0 - pace / speed
     if found > (MOVED_BADLY if likely else MOVED_OFTEN):
         raise ValueError(
-            "`velocity_e` must be in ECEF axes and m/s, but positions move differently, by "
-            f"{100.0 * found:.0f} % of it in the median "
+            "`velocity_e` must be in ECEF axes and m/s, but it differs from the motion of "
+            f"the positions by {100.0 * found:.0f} % in the median "
             f"({cause if likely else 'do they belong together'}?)"
         )
 
@@ -196,7 +196,7 @@ def _check_place(name: str, position: Floats, when: str = "") -> None:
         return
     cause = "is it the mark of an absent one, which is NaN here"
     if radius > RECEIVER_RADII[1]:
-        cause = "which unit has it"
+        cause = "what is its unit"
     elif RECEIVER_RADII[0] <= 1e3 * radius <= RECEIVER_RADII[1]:
         cause = "is it in km"
     elif position.any():
@@ -213,7 +213,7 @@ def _check_start(initial: NavState) -> None:
     _check_place("initial.position_e", position)
     require(
         speed <= FASTEST,
-        f"`initial.velocity_e` must be at most {FASTEST:g} m/s, got {speed:g} (which unit has it?)",
+        f"`initial.velocity_e` must be at most {FASTEST:g} m/s, got {speed:g} (what is its unit?)",
     )
     off = float(np.abs(C @ C.T - np.eye(3)).max())
     require(
@@ -242,7 +242,7 @@ def _check_force(recording: AnyRecording, initial: NavState) -> None:
     require(
         np.abs(force).max() < LARGEST_FORCE,
         f"`specific_force_b` must be below {LARGEST_FORCE:g} m/s^2, got {np.abs(force).max():g} "
-        "(which unit has it, or is it the mark of an absent sample?)",
+        "(what is its unit, or is it the mark of an absent sample?)",
     )
     up = np.asarray(initial.position_e) / np.linalg.norm(initial.position_e)
 
@@ -310,7 +310,7 @@ def _check_satellites(recording: Recording, visible: Bools) -> None:
         for k, j in np.argwhere(visible & ~(speed <= 2.0 * FASTEST))[:1]:
             raise ValueError(
                 f"`{name}` must be at most {2.0 * FASTEST:g} m/s, got {speed[k, j]:g} in channel "
-                f"{j} at {_time(recording, k)} (which unit has it?)"
+                f"{j} at {_time(recording, k)} (what is its unit?)"
             )
 
     def far(size: float) -> bool:
@@ -464,7 +464,7 @@ def _check_rates(recording: Recording, visible: Bools) -> None:
     slope = float(np.median(ratio))
     scatter = 1.5 * float(np.median(np.abs(ratio - slope))) / np.sqrt(ratio.size)
     if abs(slope - 1.0) > max(SLOPE, 5.0 * scatter):
-        cause = "which unit has it"
+        cause = "what is its unit"
         if abs(slope + 1.0) < 0.3:
             cause = "is it Doppler's sign, positive where the satellite comes nearer"
         elif 0.15 < abs(slope) < 0.26:

@@ -83,10 +83,10 @@ def find_start(
             clock_drift_mps=clock[1],
             attitude_sd=0.0 if still else ATTITUDE_SD,
         )
-    why = f"no fix moves at {MOVING_MPS:g} m/s, from which a heading follows; the fastest, at "
+    why = f"no fix moves at {MOVING_MPS:g} m/s, which a heading needs; the fastest moves at "
     raise ValueError(
-        f"before its last {fewest} epochs "
-        + (f"{why}{fastest:.2g} m/s" if fastest else "two fixes do not follow one another")
+        f"before the last {fewest} epochs "
+        + (f"{why}{fastest:.2g} m/s" if fastest else "no two fixes follow one another")
     )
 
 

@@ -263,7 +263,7 @@ class SpoofVecEnv(VecEnv):
     def set_rewards(self, terms: RewardSpec) -> None:
         """Reward by other terms from the next step on, as ``reward=`` of `SpoofEnv` takes them."""
         if self.side == "detector":
-            raise ValueError("a detector is paid by the rules of the duel: see its settings")
+            raise ValueError("a detector is paid by the rules of the duel: set its `payoff`")
         self.core.set_rewards(make_terms("reward", terms))
 
     def close(self) -> None:

@@ -388,6 +388,9 @@ class TightlyCoupledSimulator(Simulator):
 
     def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
         self.sensors.put_keys(rows, episodes, AFTER_ONSET)
+        self._begin_attack(rows)
+
+    def _begin_attack(self, rows: Rows) -> None:
         self.attack.start_episodes(rows, self.sensors.words.get("spoofer", rows), self.onset[rows])
 
     def _start(self, choice: Choice) -> None:
@@ -397,7 +400,7 @@ class TightlyCoupledSimulator(Simulator):
         self.sensors.epoch[:] = first
         self.memory["combination"][:] = combinations.index(choice.world, choice.grade, choice.error)
         self.attack.memory.reset()
-        self.attack.start_episodes(self._all_rows, self.sensors.words["spoofer"], self.onset)
+        self._begin_attack(self._all_rows)
         self._start_combinations()
         self._epochs(MEASURE, 0, b)
         world, fields = setup.world.at_hand, self.buffers.fields
@@ -705,10 +708,14 @@ class TightlyCoupledSimulator(Simulator):
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
         self.buffers.copy_rows(to, other.buffers, rows)
         self.sensors.copy_rows(to, other.sensors, rows)
-        self.attack.memory.copy_rows(to, other.attack.memory, rows)
         if self.augmented is not None and other.augmented is not None:
             self.augmented.copy_rows(to, other.augmented, rows)
         super().copy_rows(to, other, rows)
+        if self.setup.attack == other.setup.attack:
+            self.attack.memory.copy_rows(to, other.attack.memory, rows)
+        else:  # begins in these rows; nothing before the onset depends on it
+            self.attack.memory.reset(np.isin(self._all_rows, to))
+            self._begin_attack(to)
 
     def report_attack(self) -> dict[str, NDArray[Any]]:
         return self.attack.report(self.sensors.epoch)

@@ -356,9 +356,9 @@ def refuse_missing_statistics(model: Any) -> None:
         missing = learned and bool(envs.norm_obs) and envs.obs_rms.count < 1.0
     if missing:
         raise ValueError(
-            f"this {type(model).__name__} has learned behind a VecNormalize, whose statistics are "
-            "not given, so that it would observe otherwise than it has learned: save them by "
-            "`VecNormalize.save`, and load it with env=VecNormalize.load(FILE, envs)"
+            f"this {type(model).__name__} was trained with a VecNormalize, whose statistics are "
+            "missing: without them it observes other values than in training. Save them by "
+            "`VecNormalize.save`, and load the model with env=VecNormalize.load(FILE, envs)"
         )
 
 

@@ -265,7 +265,7 @@ class SensorBuffers:
         for name in ("epoch", "range_offset", "rate_offset"):
             getattr(self, name)[to] = getattr(other, name)[rows]
         if len(self.authentic):
-            self.authentic[to] = other.authentic[rows]
+            self.authentic[to] = other.authentic[rows] if len(other.authentic) else 1.0
 
     def draw_keys(self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> None:
         """Take the keys of a new episode. `rngs`: one per row. Its seed sequence spawns one child

@@ -74,8 +74,8 @@ class AlarmLog:
         engine = getattr(core, "engine", None)
         if engine is not None and engine.warm_pool is not None:
             raise ValueError(
-                f"episodes that share {engine.warm_pool} pasts are not independent, as intervals "
-                "take them: make the environment with warm_pool=0"
+                f"episodes that share {engine.warm_pool} pasts are not independent, which the "
+                "intervals assume: make the environment with warm_pool=0"
             )
         setup, self._past = core.setup, list[tuple[float, ...]]()
         self._repeat, self._hold = setup.repeat, setup.hold

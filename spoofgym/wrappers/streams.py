@@ -58,7 +58,7 @@ class Recorder:
                 "detector in the loop"
             )
         if not setup.live:
-            raise ValueError("an onset within needs a monitored start: give the timeline `live_s`")
+            raise ValueError("a drawn onset needs a monitored start: give the timeline a `live_s`")
         same: dict[str, Any] = {"prefetch": False, "watch": (), "twin": False, "warm_pool": None}
         settings = {**core.settings, **same, "end": ("at-window-end",), "threads": threads}
         self.core = SpoofCore(BLOCK, setup, **settings)

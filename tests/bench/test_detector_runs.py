@@ -115,6 +115,15 @@ def test_an_attack_of_its_own_meets_the_same_runs(setup):
     assert ((near[0] > 1.0) & (near[0] < 4.0)).all()
     np.testing.assert_allclose(far[0], 2.0 * near[0], rtol=0.05)
     assert (near[1] <= near[0]).all()
+    # to the bit as after a warm-up in its own world, its own noise and times of capture, too
+    clock = {"offset_sd_m": 3.0, "drift_sd_mps": 0.1}
+    for options in ({"errors": "quiet"}, {"capture": {"delay_s": 9.0}, "spoofer_clock": clock}):
+        own = make_attack({"name": "meaconer", "antenna_m": [0.0, 8.0, 0.0], **options})
+        other = setup.copy_with(detector=Never())
+        other.attack = own
+        alone = play(WarmStart(other, rngs_of(setup, range(4))(), threads=1), IDLE)
+        (runs,) = panel.play([(PanelAttack(IDLE, 4, own), 0)], drop=False)
+        np.testing.assert_array_equal(runs.position, alone.position)
 
 
 def test_near_an_alarm_are_those_whose_statistic_was_largest(setup):

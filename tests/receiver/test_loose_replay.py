@@ -182,7 +182,11 @@ REFUSED = {
     "knots": (SPEED, lambda x: x * 3600.0 / 1852.0, "is it in knots"),
     "mg": (FORCE, lambda x: x * 1e3, "is it in mg"),
     "zeros": (PLACE, np.nan_to_num, "An absent position must be NaN"),
-    "local": (SPEED, lambda x: 0.0 * np.nan_to_num(x) + [60.0, 52.0, 0.0], "move differently"),
+    "local": (
+        SPEED,
+        lambda x: 0.0 * np.nan_to_num(x) + [60.0, 52.0, 0.0],
+        "it differs from the motion of the positions",
+    ),
     "km/h": (SPEED, lambda x: 3.6 * x, "is it in km/h"),
     "held": (
         PLACE,

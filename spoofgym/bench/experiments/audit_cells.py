@@ -26,10 +26,11 @@ from ..scores.audit import TRANSFER, AgeProbe, Audit
 from ..scores.detector import CLEAN, WINDOW, DetectorScore, FamilyScore
 from ..search import attack_suite
 from ..search.amplitude import with_rates
-from ..search.bounds import DisplacementBounds
+from ..search.bounds import DisplacementBounds, expect_onset
 from ..search.open_loop import AIMS, OpenLoopSearch
 from .audit_worlds import (
     AGES,
+    AGES_S,
     BUDGETS,
     FALSE_ALARMS,
     FLOOR,
@@ -170,17 +171,26 @@ class AuditCells(Experiment):
         return self.of.worlds.list_attacks(part, defence.player)
 
     def _expect_plays(self, part: tasks.AttackFamily | str, defence: ScoredDetector) -> float:
-        size, runs = self.of.size, float(self.of.runs)
+        """Runs that a cell plays, and those that take as long as its own warm-ups."""
+        size, runs, world = self.of.size, float(self.of.runs), self.of.worlds.world.setup
+        window = float(world.steps + world.hold)
         if part == AGES:
-            return float(size.twins * size.ages * (len(RAMPS) + 1))
+            flown = sum(AGES_S[: size.ages]) / world.interval_s
+            return size.twins * (size.ages * (len(RAMPS) + 1) + flown / window)
+        before = expect_onset(world) / window
         if isinstance(part, str):
-            return runs * (1 + len(tasks.EVENTS))
+            return runs * (1 + len(tasks.EVENTS)) * (1.0 + before)
+        own = 0.0  # other families share theirs
+        if part.onset is not None or self.of.task.get_overrides(part):
+            own = before * (runs + self.of.selection.runs)
+            own *= tasks.CANDIDATES if part.onset == NEAR_ALARM else 1
         members = len(self._list_attacks(part, defence))
         if SEARCHED in part.letters:
             members += len(AIMS) + len(self.card.get("optima_mps", {}))
-        return attack_suite.expected_plays(
+        plays = attack_suite.expected_plays(
             members, self.of.selection, self.of.runs, attack_suite.ROUNDS
-        ) + self.search_plays * (SEARCHED in part.letters)
+        )
+        return own + plays + self.search_plays * (SEARCHED in part.letters)
 
     @property
     def search_plays(self) -> float:

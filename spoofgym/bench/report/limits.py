@@ -60,8 +60,8 @@ def per_run(false_alarms_per_hour: float, setup: TightlyCoupledSetup) -> float:
     if found >= 0.5:
         raise ValueError(
             f"{false_alarms_per_hour:g} false alarms an hour are {100 * found:.3g} % of runs of "
-            f"{setup.window_s:g} s, so that no floor is left for a detection of 50 %; valid: below "
-            f"{hourly_rate(0.5, setup.window_s):.4g} an hour"
+            f"{setup.window_s:g} s, so there is no floor for finding 50 % of the attacks; valid: "
+            f"below {hourly_rate(0.5, setup.window_s):.4g} an hour"
         )
     return found
 

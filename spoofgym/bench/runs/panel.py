@@ -82,7 +82,7 @@ def select_runs(
             return found[:runs]
     raise ValueError(
         f"of {MOST_TRIED} runs in {setup.name} only {len(found)} have an onset at a {condition}, "
-        f"and {runs} are wanted: none of its flights may have one where an attack can start"
+        f"and {runs} are wanted: perhaps no flight has one where an attack can start"
     )
 
 
@@ -116,8 +116,7 @@ class LateMaxima(RunMaxima):
 
 
 class PanelAttack(NamedTuple):
-    """An attack on the first so many runs of a panel; `attack` in place of the world's own, before
-    which the receivers are warmed up again."""
+    """An attack on the first so many runs of a panel; `attack` in place of the world's own."""
 
     spec: Any
     runs: int
@@ -279,14 +278,14 @@ class Panel:
         self, numbers: Numbers, alone: bool, attack: PanelAttack, rows: NDArray[np.intp]
     ) -> WarmStart:
         """Runs at the onset in front of some detectors."""
-        if attack.attack is not None:
-            other = copy.copy(self._build_setup(numbers))
-            other.attack = attack.attack
-            return WarmStart(other, self.rngs()[: len(rows)], threads=self.threads)
         if not alone:
-            whole = len(numbers) == len(self.judges)
-            start = self.start if whole else self.start.under(self._build_setup(numbers))
-            return start.take(rows)
+            setup = self.setup
+            if len(numbers) < len(self.judges):
+                setup = self._build_setup(numbers)
+            if attack.attack is not None:
+                setup = copy.copy(setup)
+                setup.attack = attack.attack
+            return self.start.under(setup).take(rows)
         if numbers[0] not in self._alone:
             setup = self.world.copy_with(detector=self.judges[numbers[0]], monitors=self._watched)
             self._alone[numbers[0]] = WarmStart(setup, self.rngs(), threads=self.threads)

@@ -235,7 +235,7 @@ class WarmStart:
         return whole / self._engine.receivers
 
     def under(self, setup: Setup) -> WarmStart:
-        """The same receivers; their runs have other monitors."""
+        """The same receivers; their runs have other monitors, or another attack."""
         part = copy.copy(self)
         part.setup = setup
         return part

@@ -322,7 +322,7 @@ class StatisticRatio(_Term):
 
 @settings_record(frozen=True)
 class GainWeight(_Term):
-    """The detector's weight on every pseudorange, or on the position; 1 from a monitor."""
+    """The detector's weight on every pseudorange, or on the position; 1 if it is passive."""
 
     latent: ClassVar[bool] = False
     knowledge: ClassVar[str] = "oracle"
