@@ -45,9 +45,10 @@ def test_a_calibration_is_made_shown_and_used(folder):
 
 
 def test_a_device_that_is_unknown_or_lacks_its_packages_is_refused():
-    assert "unknown device 'tpu'" in refused(*SHORT_RATE, *CHI2, "--device", "tpu")
-    if importlib.util.find_spec("numba_cuda") is None:
-        assert "spoofgym[cuda]" in refused(*SHORT_RATE, *CHI2, "--device", "cuda")
+    for line in ([*SHORT_RATE, *CHI2], ["bench", *CHI2]):
+        assert "unknown device 'tpu'" in refused(*line, "--device", "tpu")
+        if importlib.util.find_spec("numba_cuda") is None:
+            assert "spoofgym[cuda]" in refused(*line, "--device", "cuda")
 
 
 def test_a_degenerate_statistic_that_was_named_is_a_failure_and_rescaled_is_none():

@@ -87,6 +87,7 @@ def bench(
         help="Runs on which the worst attack of the suite is chosen. With 0 none is chosen, "
         "and what it exceeds is left out.",
     ),
+    device: opt.Device = "cpu",
     threads: opt.Threads = None,
     jobs: int | None = Option(
         None,
@@ -109,8 +110,10 @@ def bench(
     from ..bench.report.campaign import WorstRows
     from ..bench.runs.players import add_tuned_setting
     from ..bench.search.attack_suite import Selection
+    from ..core.devices import check_device
     from ..simulation.engine import processors
 
+    check_device(device)
     size = get_budget(budget, runs=runs, training_runs=training_runs, selection_runs=selection_runs)
     chosen = size.selection_runs  # a quarter of them sifts
     standard = task is None and not options.find_passed(opt.WORLD_OPTIONS)
@@ -132,7 +135,12 @@ def bench(
     )
     if fit_only and not any(player.tuned for player in suite.spoofer_players):
         raise ValueError("--fit-only needs a spoofer with a setting that is tuned")
-    campaign = Campaign(calibrate_suite(suite, detector, threads), fit_only)
+    campaign = Campaign(calibrate_suite(suite, detector, threads), fit_only, device)
+    if len(campaign.lacking) == len(suite.detector_players):
+        raise ValueError(next(iter(campaign.lacking.values())))
+    if campaign.lacking:
+        names = ", ".join(campaign.lacking)
+        typer.echo(f"played on the processor, not on {device}: {names}", err=True)
     rows = WorstRows(campaign.config)
 
     def show(cells: Reader) -> None:
@@ -143,7 +151,7 @@ def bench(
         opt.finish_experiment(
             campaign,
             out,
-            jobs=jobs or (processors() if standard else 1),
+            jobs=jobs or (processors() if standard and device == "cpu" else 1),
             backend=backend,
             shard=shard,
             threads=threads,

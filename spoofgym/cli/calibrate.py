@@ -54,9 +54,7 @@ def calibrate(
     check: bool = Option(False, "--check", help="Replay stored runs; fail where they now differ."),
     overwrite: bool = Option(False, "--overwrite", help="Replace calibrations that exist."),
     task: str | None = Option(None, help="World of a task, S1 to S3 or T1 to T6."),
-    device: str = Option(
-        "cpu", help="Where runs are played: `cpu`, or `cuda`, with the same bits."
-    ),
+    device: opt.Device = "cpu",
     as_json: opt.Json = False,
     options: WorldOptions,
     seed: opt.Seed = 0,

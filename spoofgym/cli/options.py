@@ -39,6 +39,12 @@ Seed = Annotated[int, Option(help="Seed of the random number generators.")]
 Threads = Annotated[
     int | None, Option(min=1, help="Threads of the engine. Default: all useful cores.")
 ]
+Device = Annotated[
+    str,
+    Option(
+        help="Where runs are played of what there is on a device: cpu, or cuda, with the same bits."
+    ),
+]
 Processes = Annotated[
     int, Option("--jobs", min=1, help="Processes on this machine that compute in parallel.")
 ]

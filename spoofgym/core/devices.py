@@ -12,6 +12,7 @@ from typing import Any
 from numba import config
 
 from .extras import name_extra
+from .registry import check_choice
 
 SIMULATED = bool(config.ENABLE_CUDASIM)
 """Whether the simulator stands for a device: Python for every thread, one after the other."""
@@ -35,6 +36,13 @@ def import_torch() -> Any:
     return torch
 
 
+def check_device(device: str) -> None:
+    """Raise unless it is the processor, or a device whose packages and driver are here."""
+    check_choice("device", device.partition(":")[0], ("cpu", "cuda"))
+    if device != "cpu":
+        import_torch()
+
+
 def check_driver(cuda: Any) -> None:
     if not cuda.is_available():
         raise RuntimeError("device='cuda' needs an NVIDIA driver and a GPU, and finds none")
@@ -46,8 +54,13 @@ def check_driver(cuda: Any) -> None:
         )
 
 
-def check_free_memory(receivers: int, each: int, free: int) -> None:
-    """Raise a ValueError where receivers of `each` bytes need more than is `free` on a device."""
+def check_free_memory(memory: Any, device: Any, receivers: int, each: float) -> None:
+    """Raise a ValueError where receivers of `each` bytes need more than a device has free; `memory`
+    is ``torch.cuda``, part of whose own may be free."""
+    if device.type == "cpu":  # which is simulated
+        return
+    free = memory.mem_get_info(device)[0]
+    free += memory.memory_reserved(device) - memory.memory_allocated(device)
     most = math.floor(0.95 * free / each)
     if receivers > most:
         raise ValueError(

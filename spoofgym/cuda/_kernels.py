@@ -150,12 +150,12 @@ def run_receiver(r, t, b, command, hold, attack, detector, what):
     return alarmed
 
 
-def age(r, t, alarmed, ratio, left, count, detector, what):
-    """Run clean epochs of those receivers that have some `left` (B,), at most `count`; `alarmed`,
-    `ratio` (B,): alarms, and the largest ratio of statistic to threshold, so far."""
+def age(r, t, alarmed, ratio, left, command, count, hold, attack, detector, what):
+    """Run the epochs that are `left` (B,), at most `count`, attacked or not; `command` (B, a);
+    `alarmed`, `ratio` (B,): alarms, and the largest ratio of statistic to threshold, so far."""
     b = cuda.grid(1)
     for _ in range(min(count, left[b]) if b < left.shape[0] else 0):
-        if run_receiver(r, t, b, r.displacement[b : b + 1], True, 0, detector, what):
+        if run_receiver(r, t, b, command[b : b + 1], hold, attack, detector, what):
             alarmed[b] = True
         for c in range(r.statistic.shape[1] if what & JUDGED else 0):
             ratio[b] = max(ratio[b], r.statistic[b, c] / r.threshold[b, c])

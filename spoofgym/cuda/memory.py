@@ -36,7 +36,7 @@ DETECTORS: dict[type[Any], tuple[int, tuple[str, ...], Callable[[Any], Iterable[
 """Number of a detector in kernels, what it remembers by name, and its first settings."""
 ALIKE = "assumed", "constants"
 """What is one for all receivers where all are alike."""
-SCRATCH = "work", "spans", "offset_work", "faults", "alarmed", "ratio", "left"
+SCRATCH = "work", "spans", "offset_work", "faults", "alarmed", "ratio", "left", "command"
 """What does not last, or is of a fleet without an attack."""
 OF_OFFSETS = dict(requested=float, taken=bool, orders=int, bases=int, residual=float)
 """What an attack by offsets remembers, beside what all do."""
@@ -83,12 +83,8 @@ class Tensors:
     def resize(self, receivers: int) -> Tensors:
         """The same of so many receivers, all 0, but for what all share."""
         other = copy.copy(self)
-        other.take(
-            {
-                name: x if name in ALIKE and len(x) == 1 else _make_zeros(x, receivers)
-                for name, x in self.tensors.items()
-            }
-        )
+        shared = {name: x for name, x in self.tensors.items() if name in ALIKE and len(x) == 1}
+        other.take({name: _make_zeros(x, receivers) for name, x in self.tensors.items()} | shared)
         return other
 
     @property

@@ -10,7 +10,7 @@ from numba import cuda
 
 from ..attacks._offset_kernels import measure_scratch
 from ..calibration.clean_runs import check_stopped
-from ..core.devices import SIMULATED, import_torch
+from ..core.devices import SIMULATED, check_free_memory, import_torch
 from ..detectors.charts import Ewma
 from ..envs.core import SpoofCore
 from ..receiver.epoch import ReceiverBuffers
@@ -23,6 +23,7 @@ from .memory import DETECTORS, OF_OFFSETS, Arrays, Tensors, view_for_kernels
 
 THREADS = 64  # of a block
 PIECE = 8  # epochs of a launch, so that a desktop's watchdog lets it end
+Stop = threading.Event | None
 
 
 def launch(name: str, receivers: int, device: Any, *arguments: Any) -> None:
@@ -90,10 +91,14 @@ class Fleet:
             "work": np.zeros((m, simulator.work_rows)),
             "spans": np.zeros((m, 4, 1), dtype=np.int64),
             "offset_work": np.zeros((m, *sizes)),
+            "command": np.zeros((m, len(simulator.setup.action_names))),
             **dict.fromkeys(("faults", "left"), np.zeros(m, dtype=np.int64)),
         }
+        check_free_memory(torch.cuda, device, m, sum(x.nbytes / len(x) for x in arrays.values()))
         self.tensors = Tensors(torch, arrays, device)
-        found = (self.tensors.views[name] for name in ("alarmed", "ratio", "left"))
+        length = simulator.setup.epochs_each
+        self._left = length - 1 - simulator.epochs % length
+        found = (self.tensors.views[name] for name in ("alarmed", "ratio", "left", "command"))
         self._known = self.name_receivers(self.tensors), self.shared, *found
 
     def name_receivers(self, tensors: Tensors) -> Any:
@@ -105,25 +110,31 @@ class Fleet:
         tensors.views["covariance"] = view_for_kernels(part)
         return tensors.name_views(_kernels.Receivers)
 
-    def warm_up(self, stopped: threading.Event | None = None) -> tuple[Any, Any]:
+    def warm_up(self, stopped: Stop = None) -> tuple[Any, Any]:
         """Run all to their onsets, with the detector where it is on; what `run` says of that."""
         settling, whole = self._phases
         self.run(settling, stopped, 0)
         return self.run(whole - settling, stopped)
 
     def run(
-        self, epochs: Any, stopped: threading.Event | None = None, what: int = _kernels.JUDGED
+        self, epochs: Any, stopped: Stop = None, what: int = _kernels.JUDGED, command: Any = None
     ) -> tuple[Any, Any]:
         """Run `epochs` of each receiver: (M,) the largest ratio of statistic to threshold, and
-        whether there was an alarm."""
-        tensors, m = self.tensors, len(self.tensors["left"])
+        whether there was an alarm. `command` (M, a) of the attack, None holds its rate."""
+        tensors, m, torch = self.tensors, len(self.tensors["left"]), import_torch()
         left = np.broadcast_to(np.asarray(epochs, dtype=np.int64), m).copy()
-        tensors["left"].copy_(import_torch().from_numpy(left))
+        if (left > self._left).any():
+            raise ValueError(f"an epoch beyond the world: it has {self._left.min()} more")
+        self._left -= left
+        tensors["left"].copy_(torch.from_numpy(left))
+        if command is not None:
+            tensors["command"].copy_(torch.from_numpy(np.array(command, dtype=float)))
         tensors["alarmed"].zero_()
         tensors["ratio"].zero_()
         for _ in range(-(-int(left.max()) // PIECE)):
             check_stopped(stopped)
-            launch("age", m, self._device, *self._known, PIECE, self.detector, what)
+            kinds = command is None, self.attack, self.detector, what
+            launch("age", m, self._device, *self._known, PIECE, *kinds)
         raise_faults(tensors["faults"])
         return tensors["ratio"].cpu().numpy().copy(), tensors["alarmed"].cpu().numpy().copy()
 

@@ -39,8 +39,8 @@ TERMS: dict[type[Any], Callable[[Any, Any, Any], Any]] = {
 """What is observed by a term, in the first columns, of tensors of receivers, and of all."""
 
 
-def check_receivers(setup: Setup) -> None:
-    """Raise a ValueError where receivers have what a device lacks, with its name."""
+def check_receivers(setup: Setup, *, attacked: bool = True) -> None:
+    """Raise a ValueError where receivers, or their attack, have what a device lacks, by name."""
     if not isinstance(setup, TightlyCoupledSetup):
         raise ValueError(f"device='cuda' has no {setup.whose}: only a tightly coupled receiver")
     detector: Any = split_scale(setup.detector)[0]
@@ -58,21 +58,22 @@ def check_receivers(setup: Setup) -> None:
         "a filter of the detector's own": getattr(detector, "filter", "victim") != "victim",
         "`weight_scale` of Shewhart": isinstance(detector, Shewhart) and detector.weight_scale,
     }
+    if attacked:
+        attack: Any = setup.attack
+        equipment = attack.capture is not None or attack.replaces_errors or not attack.idle_is_clean
+        found[f"attack {attack.kind!r}"] = type(attack) not in (FalsePosition, PerChannel, Offsets)
+        found["an attack with a capture, tracking, a clock or errors of its own"] = equipment
     _refuse(found)
 
 
 def check_supported(core: SpoofCore) -> None:
     """Raise a ValueError where an environment has what a device lacks, with its name."""
     check_receivers(core.setup)
-    attack, settings = core.setup.attack, core.settings
-    equipment = attack.capture is not None or attack.replaces_errors or not attack.idle_is_clean
     found = {
-        f"attack {attack.kind!r}": type(attack) not in (FalsePosition, PerChannel, Offsets),
-        "an attack with a capture, tracking, a clock or errors of its own": equipment,
-        "`watch`": settings["watch"],
-        "`epoch`": settings["epoch"] is not False,
+        "`watch`": core.settings["watch"],
+        "`epoch`": core.settings["epoch"] is not False,
         "an `end` but at an alarm": core._has_ends,
-        "`twin`": settings["twin"],
+        "`twin`": core.settings["twin"],
         "an action that corrects a spoofer's": core.commands.base is not None,
         "a reward term in Python": not core._compiled,
     }

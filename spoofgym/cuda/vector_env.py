@@ -11,18 +11,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from ..attacks.offsets import Offsets
 from ..core.devices import SIMULATED, check_free_memory, import_torch
 from ..core.registry import check_choice, whole_number
+from ..envs import options as opt
 from ..envs._kernels import REWARD, TERMINATED
 from ..envs.core import SpoofCore
 from ..envs.env import HasSpec
 from ..envs.factory import DEFAULT_VICTIM, make_core, select_victim
-from ..envs.options import (
-    TOLERANCE,
-    InfoSpec,
-    check_vector_settings,
-    checked_seed,
-    info_keys,
-    parse_autoreset_mode,
-)
 from ..envs.scoring import MARK_NAMES, MARKS
 from ..envs.terms.observation import SatelliteGeometry, TargetMotion
 from ..simulation.tight import AFTER_ONSET
@@ -76,18 +69,17 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         device: str = "cuda",
         pasts: int = PASTS,
         autoreset_mode: str | AutoresetMode = AutoresetMode.SAME_STEP,
-        infos: InfoSpec = "none",
+        infos: opt.InfoSpec = "none",
         render_mode: None = None,
         max_episode_steps: int | None = None,
         **settings: Any,
     ) -> None:
-        check_vector_settings(num_envs, render_mode)
+        opt.check_vector_settings(num_envs, render_mode)
         whole_number("`pasts`", pasts, 1)
-        if parse_autoreset_mode(autoreset_mode) is not AutoresetMode.SAME_STEP:
-            raise ValueError(
-                f"device='cuda' needs `autoreset_mode` 'same_step', got {autoreset_mode!r}"
-            )
-        self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+        mode = opt.parse_autoreset_mode(autoreset_mode)
+        if mode is not AutoresetMode.SAME_STEP:
+            raise ValueError(f"device='cuda' needs `autoreset_mode` 'same_step', got {mode.name}")
+        self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.render_mode, self.num_envs = None, num_envs
         check_choice("device", str(device).partition(":")[0], ("cuda",))
         self._torch = torch = import_torch()
@@ -95,30 +87,25 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         settings = {**settings, "warm_pool": 0}
         core = make_core(select_victim(victim), pasts, settings, whose=f"victim {victim!r}")
         check_supported(core)
-        self.core, self._names, self._reports = (
-            core,
-            core._fused.layout.names,
-            core.setup.attack.reports,
-        )
-        self.name_spaces(core, num_envs)
+        self.core, self._reports = core, core.setup.attack.reports
+        self._names = core._fused.layout.names
         names = *self._names, *self._reports, FINAL
-        keys = info_keys(infos, names)
+        keys = opt.info_keys(infos, names)
         self._keys = names if keys is None else tuple(key for key in names if key in keys)
-        with torch.no_grad():
-            self._allocate()
-        self._started = False
+        self._allocate()
+        self.name_spaces(core, num_envs)
+        self._started = self._halfway = False
 
     def _allocate(self) -> None:
         torch, core, b, device = self._torch, self.core, self.num_envs, self.device
         setup, attack, rows = core.setup, core.setup.attack, core._fused.layout.numbers + 3
         self._fleet = fleet = start_pasts(torch, core, device)
         pasts = fleet.tensors
-        if device.type != "cpu":
-            each = pasts.bytes_each + 8 * (setup.steps + 1 + 2 * rows)
-            check_free_memory(b, each, torch.cuda.mem_get_info(device)[0])
+        each = pasts.bytes_each + 8 * (setup.steps + 1 + 2 * rows)
+        check_free_memory(torch.cuda, device, b, each)
         terms = {type(term): term for term, _ in core.observer._parts}
         motion: Any = terms.get(TargetMotion, TargetMotion())
-        axes, decided = len(setup.action_names), len(self.action_names)
+        axes, decided = len(setup.action_names), len(core.action_names)
         reported = b if self._reports else 0
         offsets = np.zeros((reported, pasts["orders"].shape[1]))
         own: Arrays = {
@@ -127,7 +114,6 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
             **dict.fromkeys(("detected", "ended", "no_rows"), np.zeros(b, dtype=np.bool_)),
             **dict.fromkeys(("offsets_m", "requested_offsets_m"), offsets),
             "action_mask": np.zeros((reported, axes), dtype=np.bool_),
-            "command": np.zeros((b, axes)),
             "seen": np.zeros((b, len(core.observation_names)), dtype=np.float32),
             "motion": np.zeros((b, 6), dtype=np.float32),
             "time": np.zeros((b, 2), dtype=np.float32),
@@ -179,23 +165,26 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         one so far. There are no `options`, and no information beside `observation` (B, o)."""
         if options:
             raise ValueError(f"device='cuda' has no options of a reset, got {sorted(options)}")
-        super().reset(seed=checked_seed(seed))
+        super().reset(seed=opt.checked_seed(seed))
         if seed is not None or not self._started:
             words = self.np_random.integers(2**63, size=2, dtype=np.int64)
             self._rows["seed"].copy_(self._torch.from_numpy(words))
             self._arrays["number"].zero_()
         self._arrays["faults"].zero_()
         self._arrays["ended"].fill_(True)
-        self._started = True
-        return self._restart(), {}
+        with opt.whole_reset(self):
+            first, self._started = self._restart(), True
+        return first, {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Give one command to every receiver, and run the epochs of a decision. `actions` (B, a) in
         [-1, 1]; returns tensors: `observation` (B, o) float32, of the next episode where one has
-        ended; `reward` (B,) float64; `terminated`, and `truncated`, which is False; information by
-        the keys that have been requested. What has diverged is an error of the step after it."""
+        ended; `reward` (B,) float64; `terminated`; `truncated`, which is False; information as it
+        has been requested. What has diverged is an error of the step after it."""
         if not self._started:
             raise RuntimeError("call reset() before step()")
+        if self._halfway:
+            raise RuntimeError(opt.HALFWAY)
         self._check(actions)
         with self._torch.no_grad():
             return self.step_unchecked(actions)
@@ -203,15 +192,16 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
     def step_unchecked(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """`step` without a look at actions and faults, which `check` does later: nothing waits for
         the device, so that it may be part of a CUDA graph."""
-        arrays, rows, fleet = self._arrays, self._rows, self._fleet
+        self._halfway, arrays, rows, fleet = True, self._arrays, self._rows, self._fleet
         arrays["before"].copy_(arrays["action"])
         arrays["action"].copy_(actions)
         rows["marks"].zero_()
         kinds = fleet.attack, fleet.detector
         launch("play_step", self.num_envs, self.device, *self._known, *kinds)
         reward, terminated = rows["values"][REWARD].clone(), rows["marks"][TERMINATED].clone()
-        info = self._report()
-        return self._restart(), reward, terminated, self._torch.zeros_like(terminated), info
+        info, seen = self._report(), self._restart()
+        self._halfway = False
+        return seen, reward, terminated, self._torch.zeros_like(terminated), info
 
     def check(self) -> None:
         """Raise what kernels have found: `FilterDiverged`, or a verdict that is not finite."""
@@ -219,13 +209,14 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
 
     def _check(self, actions: Any) -> None:
         torch, shape = self._torch, (self.num_envs, len(self.action_names))
-        if not isinstance(actions, torch.Tensor) or actions.device.type != self.device.type:
+        device = self._arrays["action"].device  # with its index
+        if not isinstance(actions, torch.Tensor) or actions.device != device:
             found = getattr(actions, "device", type(actions).__name__)
-            raise TypeError(f"actions must be a tensor on {self.device}, got one on {found}")
+            raise TypeError(f"actions must be a tensor on {device}, got one on {found}")
         if tuple(actions.shape) != shape:
             names = ", ".join(self.action_names)
             raise ValueError(f"actions must have shape {shape} ({names}), got {actions.shape}")
-        inside = (actions.abs() <= 1.0 + TOLERANCE).all()
+        inside = (actions.abs() <= 1.0 + opt.TOLERANCE).all()
         if not bool(torch.logical_and(inside, ~self._arrays["faults"].any())):
             self.check()
             raise ValueError("actions must be in [-1, 1], and some are not, or are NaN")

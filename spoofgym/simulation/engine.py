@@ -172,6 +172,12 @@ class Engine:
         if self.twin is not None:
             self.twin.copy_rows(where, self.simulator, where)
 
+    def take_over(self, other: Engine, rows: Rows) -> None:
+        """Let all receivers be as those of another engine."""
+        self.simulator.copy_rows(self._all_rows, other.simulator, rows)
+        if other.simulator.clean is not None:
+            self.simulator.clean = other.simulator.clean[rows]
+
     def _reset(self, rngs: Rngs, where: Rows, given: FixedChoices | None) -> None:
         if self.warm_pool is not None and not given:
             episodes = episode_seeds(rngs)

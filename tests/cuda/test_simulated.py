@@ -1,5 +1,6 @@
 """A device by numba's simulator: the bits of the processor, errors, and what is not there."""
 
+import itertools
 import json
 import os
 import subprocess
@@ -69,16 +70,14 @@ def simulate(cases):
     return run("tests.cuda.in_simulator", json.dumps(cases), simulated=True)
 
 
-def test_receivers_have_the_bits_of_the_processor_clean_runs_its_thresholds_bad_input_an_error():
+def test_receivers_have_the_bits_of_the_processor_and_bad_input_is_an_error():
     cases = [
         {**FAST, "detector": DETECTORS["ewma"], **ATTACKS["false position"]},
         {**FAST, "detector": DETECTORS["windowed-chi2"], **ATTACKS["offsets"]},
-        {**FAST, "detector": "never", "calibrated": ["ewma", "cusum"]},
         {},
     ]
-    *played, calibrated, refused = simulate(cases)
+    *played, refused = simulate(cases)
     assert all(each["numbers"] > 1000 and each["resets"] > 0 for each in played)
-    assert calibrated == {"calibrations": 2}
     assert refused == {"refused": 1}
 
 
@@ -91,10 +90,9 @@ def test_worlds_detectors_and_attacks_have_the_bits_of_the_processor():
 @pytest.mark.nightly
 def test_kernels_are_compiled_for_three_architectures_without_contraction():
     pytest.importorskip("numba_cuda")
-    wanted = "8,0", "7,5", "9,0"
+    kernels, wanted = ("pick", "take", "look", "play_step"), ("75", "80", "90")
     found = run("tests.cuda.ptx", *wanted, simulated=False)
-    assert [each for name, each, *_ in found if name == "play_step"] == [*wanted]
-    assert {name for name, *_ in found} == {"age", "pick", "take", "look", "play_step"}
+    assert {(x, y) for x, y, *_ in found} == {("age", "75"), *itertools.product(kernels, wanted)}
     assert all(fused == 0 for *_, fused in found)
 
 

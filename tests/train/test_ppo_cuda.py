@@ -1,6 +1,7 @@
 """The learner for a device, on the processor: a problem of tensors, and the engine in tensors."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -83,20 +84,30 @@ def settings(tmp_path):
     )
 
 
-def test_a_killed_training_goes_on_and_is_scored(settings, monkeypatch):
-    learn, calls = Learner.learn, []
+def test_a_training_that_ctrl_c_ends_within_a_rollout_goes_on_and_is_scored(
+    settings, tmp_path, monkeypatch
+):
+    learn, collect, calls, steps = Learner.learn, Learner._collect, [], []
 
-    def interrupted(self, done):
+    def watched(self, done):
         calls.append(done)
-        if len(calls) == 4:
-            raise KeyboardInterrupt
         learn(self, done)
 
-    monkeypatch.setattr(Learner, "learn", interrupted)
+    def interrupted(self):  # in the place of a graph that is replayed
+        steps.append(len(calls))
+        if steps.count(4) == 5 and len(calls) == 4:
+            raise KeyboardInterrupt
+        collect(self)
+
+    monkeypatch.setattr(Learner, "learn", watched)
+    monkeypatch.setattr(Learner, "_collect", interrupted)
     with pytest.raises(KeyboardInterrupt):
         play(settings)
     results = play(settings)
     assert calls == [0.0, 0.25, 0.5, 0.75, 0.5, 0.75]  # its second stage again
+    whole = play(replace(settings, out=tmp_path / "whole" / "cuda"))
+    assert whole["score-0"] == results["score-0"]
+    assert whole["seed-0"]["curve"] == results["seed-0"]["curve"]
     file = settings.out / "seed-0" / "cuda-0.onnx"
     card = SpooferCard.load(file.with_suffix(".json"))
     assert card.training["algorithm"] == "train.ppo_cuda"

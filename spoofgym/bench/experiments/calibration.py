@@ -16,9 +16,8 @@ import numpy as np
 
 from ...calibration import holdouts, thresholds
 from ...calibration.clean_runs import CHUNK, CleanRuns, Numbers, Player, gather_runs, join_runs
-from ...core.devices import SIMULATED, import_torch
+from ...core.devices import SIMULATED, check_device, import_torch
 from ...core.progress import ProgressBar, ProgressCallback
-from ...core.registry import check_choice
 from ...core.settings import compute_digest
 from ...detectors import Calibrated, Detector
 from ...detectors.calibrated import calibrated_parts, describe_identity
@@ -141,7 +140,7 @@ def play_on_device(
     torch, found = import_torch(), []
     for detector in detectors:
         judged = setup.copy_with(detector=detector, monitors=())
-        check_receivers(judged)
+        check_receivers(judged, attacked=False)
         simulator = judged.simulator(len(rngs), run_serially)
         simulator.start_episodes(copy.deepcopy(rngs))
         with _device, torch.no_grad():
@@ -159,10 +158,9 @@ def _resumable(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(function)
     def play(*given: Any, device: str = "cpu", **settings: Any) -> Any:
-        check_choice("device", device.partition(":")[0], ("cpu", "cuda"))
+        check_device(device)
         player: Callable[..., Player] = ResumablePlayer
         if device != "cpu":
-            import_torch()  # or what is missing
             batch = partial(play_on_device, device=device)
             player = partial(player, batch=batch, chunk=TOGETHER_ON_DEVICE)
         return function(*given, **{"player": player, **settings})

@@ -23,6 +23,7 @@ from ...core.progress import ProgressCallback
 from ...core.settings import compute_digest
 from ...detectors.calibrated import resolve_thresholds
 from ...simulation.simulator import weighs
+from ..runs.on_device import find_lacking
 from ..runs.panel import Panel, PanelAttack, play_searches
 from ..runs.players import PlayerSpec, describe_knowledge
 from ..runs.record import MEASURES, Protection, RunRecord, record_runs
@@ -263,12 +264,14 @@ def run_campaign(
 @dataclass(frozen=True)
 class Campaign(Experiment):
     """What every detector and spoofer of a suite do, and what limits them; `fit_only`: spoofers are
-    fitted, and nothing else is played."""
+    fitted, and nothing else is played; `device`: where detectors are played that there are on a
+    device, with the same bits; the others on the processor."""
 
     name: ClassVar[str] = "campaign"
     outputs: ClassVar[tuple[str, ...]] = OUTPUTS
     suite: Suite
     fit_only: bool = False
+    device: str = "cpu"
 
     @property
     def config(self) -> dict[str, Any]:
@@ -282,13 +285,26 @@ class Campaign(Experiment):
         return summarize(self.results(results))
 
     @cached_property
+    def lacking(self) -> dict[str, str]:
+        """Why detectors are played on the processor, by their labels, where a device is given."""
+        suite, found = self.suite, {}
+        for entry in suite.detector_players if self.device != "cpu" else ():
+            if lacking := find_lacking(suite.setup(entry), self.device):
+                found[entry.label] = lacking
+        return found
+
+    def _find_device(self, detectors: Sequence[PlayerSpec]) -> str:
+        return "cpu" if any(each.label in self.lacking for each in detectors) else self.device
+
+    @cached_property
     def panels(self) -> list[list[PlayerSpec]]:
         """Detectors that are played together."""
         setup, passive, others = self.suite.world.setup, list[PlayerSpec](), list[PlayerSpec]()
         for entry in self.suite.detector_players:
             judge = entry.build()
             resolve_thresholds(judge, setup)
-            (others if weighs(setup, judge) else passive).append(entry)
+            alone = weighs(setup, judge) or self._find_device([entry]) != "cpu"
+            (others if alone else passive).append(entry)
         count = max(-(-len(passive) // PANEL), min(len(passive), FEWEST))
         return [*(passive[k::count] for k in range(count)), *([entry] for entry in others)]
 
@@ -343,7 +359,8 @@ class Campaign(Experiment):
             yield Result(record=record)
             return
         optima: Optima = context.cache.setdefault("optima", self.suite.optima(context.threads))
-        play = _Players(self.suite, parts[0].panel, self.results(results), context)
+        optima.device = self._find_device(parts[0].panel)
+        play = _Players(self.suite, parts[0].panel, self.results(results), context, optima.device)
         for (kind, spoofer), some in groupby(parts, lambda part: (part.kind, part.spoofer)):
             numbers = {play.detectors.index(each): each for _, _, each, *_ in some if each}
             if kind == BOUND:
@@ -377,6 +394,7 @@ class _Players(NamedTuple):
     detectors: Sequence[PlayerSpec]
     results: CampaignResults
     context: Context
+    device: str
 
     def panel(self, split: str, runs: int) -> Panel:
         """Runs of a split at their onset; those of the last detectors stay in the cache."""
@@ -391,6 +409,7 @@ class _Players(NamedTuple):
                 lambda: suite.generators(split, runs),
                 self.context.threads,
                 suite.world.watched_for(suite.spoofer_players),
+                self.device,
             )
         found: Panel = panels[labels, split]
         return found

@@ -62,6 +62,7 @@ class Evaluator:
         rule: str = UPPER_LIMIT,
         entropy: int = 0,
         threads: int | None = None,
+        device: str = "cpu",
         progress: ProgressCallback | None = None,
         **world: Any,
     ) -> None:
@@ -74,14 +75,15 @@ class Evaluator:
         self.runs = whole_number("`runs`", runs, 2)
         self.entropy = whole_number("`entropy`", entropy)
         self.tuning = Tuning(runs=fit_runs, sift_runs=max(fit_runs // SIFTED, 1), rule=rule)
-        self.task, self.threads, self.progress = task, threads, progress or NullProgress()
+        self.task, self.threads, self.device = task, threads, device
+        self.progress = progress or NullProgress()
         self.world.check_fit([self.detector])
         self._panels: dict[tuple[str, tuple[type, ...]], Panel] = {}
 
     @cached_property
     def optima(self) -> Optima:
         brackets = DisplacementBounds(self.world, [self.detector], self.entropy)
-        return Optima(brackets, self.tuning, threads=self.threads)
+        return Optima(brackets, self.tuning, threads=self.threads, device=self.device)
 
     def _panel(self, split: str, entry: PlayerSpec) -> Panel:
         """Runs of a split, shared by all spoofers that need the same to be watched."""
@@ -92,7 +94,8 @@ class Evaluator:
             self.progress.advance(0.0, f"{self.detector.label}: {split} runs")
             judges = [self.detector.build()]
             rngs = lambda: self.world.generators(self.entropy, split, runs)  # noqa: E731
-            self._panels[key] = Panel(self.world.setup, judges, rngs, self.threads, watched)
+            known = self.world.setup, judges, rngs, self.threads, watched, self.device
+            self._panels[key] = Panel(*known)
         return self._panels[key]
 
     def _fit_player(self, entry: PlayerSpec) -> TuningResult:
@@ -187,6 +190,7 @@ def evaluate(
     rule: str | None = None,
     entropy: int = 0,
     threads: int | None = None,
+    device: str = "cpu",
     progress: ProgressCallback | None = None,
     **world: Any,
 ) -> SpooferScore:
@@ -234,6 +238,9 @@ def evaluate(
         Seed of all runs.
     threads : int, optional
         Threads of the engine.
+    device : str
+        Where the engine plays: ``"cpu"``, or a GPU such as ``"cuda"``, with the same bits, for
+        what there is on a device.
     progress : ProgressCallback, optional
         Shows how far it is; by default a bar does where stderr is a terminal.
     **world
@@ -276,7 +283,8 @@ def evaluate(
     if task is None and not {*world} - {"detector"}:
         world = {**read_training_world(policy), **world}
     sizes: dict[str, Any] = {"runs": runs, "fit_runs": fit_runs, "threads": threads}
-    judge = Evaluator(task, rule=rule or get_rule(task), entropy=entropy, **sizes, **world)
+    how: dict[str, Any] = {"rule": rule or get_rule(task), "device": device, **sizes}
+    judge = Evaluator(task, entropy=entropy, **how, **world)
     entry = specify_policy(policy, amplitude, knowledge, label, largest_amplitude)
     show = show_on_terminal if progress is None else lambda _: nullcontext(progress)
     with show(judge.expect_work(entry)) as judge.progress:

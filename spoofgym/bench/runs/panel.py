@@ -27,6 +27,7 @@ from ...spoofers import SpooferContext, make_spoofer
 from ...spoofers.base import sees_statistics
 from ...tasks import CANDIDATES, NEAR_ALARM_S, SWITCH_WITHIN_S, TURNING_DEGPS
 from ...truth.sensors import draw_source_keys
+from .on_device import TOGETHER
 from .play import FloatArray, PanelDetectors, Runs, WarmStart, get_traits, play_side_by_side
 from .record import Mask, RunRecord, compute_displacement, mask_valid_runs
 
@@ -138,7 +139,7 @@ class Panel:
     """Runs at their onset, under a `sky` (R,), in front of a detector in the loop, or of several
     that only look; `clean`: what each makes of them without attack; `warmup_alarm`, `twin_alarm`
     (R, D) alarms before the onset, and epoch of the first after it; `counts` (R, D) which of them
-    count."""
+    count. `device`: as of a `WarmStart`, for one detector."""
 
     def __init__(
         self,
@@ -147,12 +148,14 @@ class Panel:
         rngs: Rngs,
         threads: int | None,
         watched: Sequence[Monitor] = (),
+        device: str = "cpu",
     ) -> None:
         self.world, self.judges, self.rngs, self.threads = setup, judges, rngs, threads
-        self._watched = list(watched)
-        self._start_at_onset(
-            WarmStart(self._build_setup(tuple(range(len(judges)))), rngs(), threads=threads)
-        )
+        self._watched, self.device = list(watched), device
+        self._start_at_onset(self._warm_up(self._build_setup(tuple(range(len(judges)))), rngs()))
+
+    def _warm_up(self, setup: Setup, rngs: list[np.random.Generator]) -> WarmStart:
+        return WarmStart(setup, rngs, threads=self.threads, device=self.device)
 
     def _build_setup(self, numbers: Numbers) -> Setup:
         if len(self.judges) == 1:
@@ -213,7 +216,8 @@ class Panel:
         found: dict[tuple[str, int], Runs] = {}
         for (numbers, alone, *_), several in passes.items():
             sizes = [min(each.runs, self.runs) for each in several]
-            most = min(MOST_ROWS, int(MOST_BYTES / max(self.start.bytes_each, 1.0)))
+            together = MOST_ROWS if self.device == "cpu" else TOGETHER
+            most = min(together, int(MOST_BYTES / max(self.start.bytes_each, 1.0)))
             share = (np.cumsum(sizes) - 1) // max(most, *sizes)
             for part in np.unique(share):
                 some = [(several[j], sizes[j]) for j in np.flatnonzero(share == part)]
@@ -288,7 +292,7 @@ class Panel:
             return self.start.under(setup).take(rows)
         if numbers[0] not in self._alone:
             setup = self.world.copy_with(detector=self.judges[numbers[0]], monitors=self._watched)
-            self._alone[numbers[0]] = WarmStart(setup, self.rngs(), threads=self.threads)
+            self._alone[numbers[0]] = self._warm_up(setup, self.rngs())
         return self._alone[numbers[0]].take(rows)
 
     def record(self, number: int, attacked: Runs, head: dict[str, Any]) -> RunRecord:
@@ -336,6 +340,7 @@ class NearAlarm(Panel):
 
     def __init__(self, setup: Setup, judge: Detector, rngs: Rngs, threads: int | None) -> None:
         self.world, self.judges, self.threads, self._watched = setup, [judge], threads, []
+        self.device = "cpu"  # that of the monitor
         own, last = self._build_setup((0,)), round(NEAR_ALARM_S / setup.interval_s)
         drawn, watched = rngs(), own.copy_with(monitors=[LateMaxima(last)])
         ratio, size = np.empty(len(drawn)), math.ceil(len(drawn) / CANDIDATES)
@@ -348,5 +353,5 @@ class NearAlarm(Panel):
         selected = set(chosen.tolist())
         self.rngs = lambda: [drawn for k, drawn in enumerate(rngs()) if k in selected]
         self.ratio = ratio[chosen]
-        start = WarmStart(own, self.rngs(), threads=threads)
+        start = self._warm_up(own, self.rngs())
         self._start_at_onset(start, np.zeros((len(chosen), 1), dtype=np.bool_))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -23,6 +24,7 @@ from ...simulation.monitors import Monitor, Monitored, PassiveDetectors
 from ...simulation.setup import Setup
 from ...simulation.simulator import FixedChoices, Simulator, keep_company
 from ...spoofers import Spoofer, make_spoofer
+from .on_device import DeviceEngine
 
 FloatArray = NDArray[np.float64]
 
@@ -203,8 +205,9 @@ class Runs(NamedTuple):
 class WarmStart:
     """Receivers at the onset of the attack, after one warm-up that all spoofers start from. The
     warm-up is clean, so that it is the same for every spoofer: a run from here has the same bits as
-    one with a warm-up of its own. `setup`: world, victim, attack, detector and timeline;
-    `warmup_alarm` (R,) bool, false alarms before the attack; `given`: as of `Engine.reset`."""
+    one with a warm-up of its own. `setup`: world, victim, attack, detector and timeline; `device`:
+    where runs are played, a GPU with the same bits; `warmup_alarm` (R,) bool, false alarms before
+    the attack; `given`: as of `Engine.reset`."""
 
     def __init__(
         self,
@@ -212,10 +215,14 @@ class WarmStart:
         rngs: Sequence[np.random.Generator],
         *,
         threads: int | None = None,
+        device: str = "cpu",
         given: FixedChoices | None = None,
     ) -> None:
-        self.setup, self.receivers, self._threads = setup, len(rngs), threads
-        self._engine = Engine(len(rngs), setup, threads=threads)
+        self.setup, self.receivers = setup, len(rngs)
+        self._make: Callable[[int, Setup], Engine] = partial(Engine, threads=threads)
+        if device != "cpu":
+            self._make = partial(DeviceEngine, device=device)
+        self._engine = self._make(len(rngs), setup)
         self._engine.reset(rngs, given=given)
         self._rows = np.arange(len(rngs))
         self.warmup_alarm = self._engine.warmup_alarm.copy()
@@ -256,10 +263,8 @@ class WarmStart:
         return self.extract(self._engine, self._rows)
 
     def extract(self, engine: Engine, rows: NDArray[np.intp]) -> Engine:
-        part = Engine(len(rows), self.setup, threads=self._threads)
-        part.simulator.copy_rows(np.arange(len(rows)), engine.simulator, rows)
-        if engine.simulator.clean is not None:
-            part.simulator.clean = engine.simulator.clean[rows]
+        part = self._make(len(rows), self.setup)
+        part.take_over(engine, rows)
         return part
 
 

@@ -434,7 +434,8 @@ class Optima:
     """Searches for open-loop attacks against the detectors of `brackets`, in its world. `spoofers`
     also play there; the profiles among them are candidates of a search. `alert_limit_m`: that of
     the aim ``hmi``, which is left out without one. `stored`: rates at the knots of curves that were
-    found before, by the labels of detectors; these are not searched again."""
+    found before, by the labels of detectors; these are not searched again. `device`: where the
+    engine plays candidates."""
 
     def __init__(
         self,
@@ -445,7 +446,9 @@ class Optima:
         alert_limit_m: float | None = None,
         settings: OpenLoopSearch | None = None,
         stored: Mapping[str, Sequence[float]] | None = None,
+        device: str = "cpu",
     ) -> None:
+        self.device = device
         self.bounds, self.tuning, self.spoofers = brackets, tuning, spoofers
         self.stored = stored or {}
         self.alert_limit_m = alert_limit_m
@@ -462,13 +465,15 @@ class Optima:
         largest, most = get_rate_limits(self.world.setup)
         return min(largest, self.world.context.largest_rate[1]), most
 
-    def _start(self, setup: Setup, shared: bool = False) -> tuple[WarmStart, Runs]:
+    def _start(
+        self, setup: Setup, shared: bool = False, device: str = "cpu"
+    ) -> tuple[WarmStart, Runs]:
         """Runs that are searched on, at the onset, and what they do without attack; `shared`: with
         the circumstances of those of the replay."""
         entropy, runs = self.bounds.entropy, self.settings.runs
         rngs = self.world.generators(entropy, SPLIT, runs)
         given = share_skies(setup, entropy, runs) if shared else None
-        start = WarmStart(setup, rngs, threads=self.threads, given=given)
+        start = WarmStart(setup, rngs, threads=self.threads, device=device, given=given)
         return start, play(start, "none")
 
     def find(self, detector: PlayerSpec, spoofer: PlayerSpec, tick: WorkCallback) -> dict[str, Any]:
@@ -491,7 +496,8 @@ class Optima:
             if error <= LINEAR_ERROR:
                 return {"by": REPLAY, "linear_error": error, "aims": found, "shapes": shape}
             why = f"the displacement by replay is off by {100.0 * error:.1f} %"
-        start = self._start(self.world.build_setup(detector, self.spoofers))
+        setup = self.world.build_setup(detector, self.spoofers)
+        start = self._start(setup, device=self.device)
         engine = EngineBackend(*start, heading_deg)
         engine.limits = self.limits
         found = search_aims(engine, *sizes, tick)
