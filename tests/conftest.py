@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import gc
 import math
 import os
@@ -10,7 +9,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -78,16 +77,6 @@ def _torch_threads() -> Iterator[None]:
     yield
     if torch is not None:
         torch.set_num_threads(before)
-
-
-@pytest.fixture(autouse=True, scope="session")
-def _torch_exporter() -> None:
-    """Keep torch's list of what it can export, which takes it 1.5 s for each file."""
-    if "onnxscript" in sys.modules:  # tests that export ask for it
-        with suppress(ImportError):  # elsewhere in another version
-            from torch.onnx._internal.exporter._registration import ONNXRegistry
-
-            ONNXRegistry.from_torchlib = staticmethod(functools.cache(ONNXRegistry.from_torchlib))
 
 
 @pytest.fixture
