@@ -283,4 +283,4 @@ def test_bench_on_a_real_flight(data_folder):
     found = read(*line, "--json")
     assert found["input"]["track"]["interpolated"] == 1210
     assert found["input"]["note"].startswith("Only the trajectory is real")
-    assert found["input"]["note"] in " ".join(call(*line).output.split())
+    assert found["input"]["note"] in " ".join(result.output.split())

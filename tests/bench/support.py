@@ -19,6 +19,13 @@ from spoofgym.spoofers import Spoofer
 
 from ..spoofers.policies import network, written
 
+WORLD = {
+    "scenario": "trolley",
+    "receiver": "matched",
+    "timeline": {"warmup_s": 40.0, "live_s": 5.0, "attack_s": 30.0, "time_to_alert_s": 2.0},
+    "detector": {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"},
+}
+"""Of scores of one spoofer, at a rate test's nominal threshold."""
 SHORT = Timeline(warmup_s=20.0, live_s=10.0, attack_s=20.0, time_to_alert_s=5.0)
 QUICK = Tuning(runs=6, sift_runs=3, values=4, refined=2, budget=0.45)
 RAMP = {"name": "ramp", "rate_mps": "tuned"}

@@ -24,8 +24,10 @@ TRICKS = {
 FIGURES = "p_hmi", "exceeded_m", "false_alarms_per_hour"
 
 
-def audited(detector, entropy, **sizes):
-    found = spoofgym.audit(detector, small_task(), "quick", entropy=entropy, **{**SIZES, **sizes})
+def audited(detector, entropy):
+    with pytest.MonkeyPatch.context() as patch:  # their contract is not what is in question
+        patch.setattr("spoofgym.testing.detector.check_detector", lambda judge: None)
+        found = spoofgym.audit(detector, small_task(), "quick", entropy=entropy, **SIZES)
     return found.as_dict()
 
 

@@ -14,14 +14,8 @@ from spoofgym.bench.search.amplitude import EXACT, UPPER_LIMIT, Tuning
 from spoofgym.spoofers import make_spoofer
 from spoofgym.tasks import TASKS
 
-from .support import RAMP
+from .support import RAMP, WORLD
 
-WORLD = {
-    "scenario": "trolley",
-    "receiver": "matched",
-    "timeline": {"warmup_s": 40.0, "live_s": 5.0, "attack_s": 30.0, "time_to_alert_s": 2.0},
-    "detector": {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"},
-}
 RUNS, FIT = 60, 80
 SIZES = {"runs": RUNS, "fit_runs": FIT}
 
@@ -103,7 +97,14 @@ def test_amplitudes_are_fitted_exactly_but_in_the_first_suite(ramp, bars):
     assert all(0.3 < sum(done) / total < 3.0 for total, done in bars)
     assert len(bars) == 2
     assert exact.at_budget["budget"] == 0.05
-    assert exact.stealthy_displacement_m.as_json() == exact.at_budget[MEASURES[0]]
+    estimate = exact.stealthy_displacement_m
+    assert estimate.as_json() == exact.at_budget[MEASURES[0]]
+    assert estimate.low < estimate.value < estimate.high
+    assert estimate.value == pytest.approx(exact.displacement_m[exact.counts].mean(), rel=0.02)
+    assert exact.keeps_budget
+    assert 0.0 < exact.alarm_rate.value <= 0.05
+    assert exact.at_budget["amplitude"]["value"] == pytest.approx(exact.value, rel=1e-3)
+    assert exact.at_budget["undetected_total_m"]["value"] > 0.0
     assert upper == ramp
     assert upper.at_budget is None
     rules = {key: get_rule(key) for key in (None, *TASKS)}

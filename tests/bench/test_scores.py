@@ -132,19 +132,3 @@ def test_kaplan_meier_by_hand():
     np.testing.assert_array_equal(found.share, 1.0)
     np.testing.assert_allclose(found.low, 20 / (20 + 1.959963984540054**2))
     np.testing.assert_array_equal(found.high, 1.0)
-
-
-@pytest.mark.parametrize(
-    ("numbers", "digits", "text"),
-    [
-        ((12.345, 11.0, 13.21), None, "12.3 (11.0 to 13.2)"),
-        ((0.0012, 0.0, 0.004), 3, "0.001 (0.000 to 0.004)"),
-        ((359.2, 350.0, 366.0), None, "359 (350 to 366)"),
-        ((None, None, None), None, "-"),
-    ],
-)
-def test_numbers_with_intervals(numbers, digits, text):
-    assert (
-        statistics.interval(dict(zip(("value", "low", "high"), numbers, strict=True)), digits)
-        == text
-    )

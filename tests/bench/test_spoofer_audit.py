@@ -122,10 +122,7 @@ def test_a_quick_audit_leaves_out_detectors_without_thresholds():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (
-            ["ewma", "--spoofer", "ramp"],
-            "a DETECTOR, a --spoofer or an entry (--check)",
-        ),
+        (["ewma", "--spoofer", "ramp"], "a DETECTOR, a --spoofer or an entry (--check)"),
         ([], "a DETECTOR, a --spoofer or an entry (--check)"),
         (["--spoofer", "none"], "attacks nothing"),
         (["--spoofer", "raises:Any"], "raises ZeroDivisionError when it is imported"),

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, seed_test
+from pettingzoo.test import api_test, parallel_api_test
 
 from spoofgym import duel_v0
 
@@ -28,12 +28,6 @@ harmless = pytest.mark.filterwarnings(f"ignore:({KNOWN}):UserWarning")
 def test_pettingzoos_suite(kwargs):
     parallel_api_test(parallel(**kwargs), num_cycles=40)
     api_test(aec(**kwargs), num_cycles=40)
-
-
-@harmless
-def test_pettingzoos_tests_of_seeds():
-    parallel_seed_test(parallel, num_cycles=10)
-    seed_test(aec, num_cycles=10)
 
 
 def test_agents_end_together_and_nothing_that_is_returned_is_used_again():

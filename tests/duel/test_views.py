@@ -47,7 +47,6 @@ def test_gymnasium_check_env(name, kwargs):
 
 CASES = {
     "spoofer": ("Spoofer", "next_step", SPOOFER),
-    "detector": ("Detector", "same_step", DETECTOR),
     "late": ("Detector", "next_step", {**DETECTOR, "decision_delay": 1, "threshold": "running"}),
     "spoofer-domain": ("Spoofer", "same_step", {**SPOOFER, **DOMAIN}),
     "detector-domain": ("Detector", "next_step", {**DETECTOR, **DOMAIN, "pool": FOLLOWING}),

@@ -174,37 +174,35 @@ def test_without_motion_no_heading_is_found_and_the_message_says_so():
         replay(at_rest(position_e=np.full((19, 3), np.nan)), RECEIVER, noise_variance=NOISE**2)
 
 
+PLACE, SPEED, FORCE = "position_e", "velocity_e", "specific_force_b"
 REFUSED = {
-    "degrees": (
-        lambda r: {"position_e": r.position_e * 0.0 + [48.0, 11.0, 500.0]},
-        "latitude, lon",
-    ),
-    "radians": (lambda r: {"position_e": r.position_e * 0.0 + [0.8, 0.2, 500.0]}, "latitude, lon"),
-    "km": (lambda r: {"position_e": r.position_e / 1e3}, r"got \[\d{4}\..*is it in km"),
-    "knots": (lambda r: {"velocity_e": np.asarray(r.velocity_e) * 3600 / 1852}, "is it in knots"),
-    "mg": (lambda r: {"specific_force_b": np.asarray(r.specific_force_b) * 1e3}, "is it in mg"),
-    "zeros": (
-        lambda r: {"position_e": np.nan_to_num(r.position_e)},
-        "An absent position must be NaN",
-    ),
+    "degrees": (PLACE, lambda x: x * 0.0 + [48.0, 11.0, 500.0], "latitude, lon"),
+    "radians": (PLACE, lambda x: x * 0.0 + [0.8, 0.2, 500.0], "latitude, lon"),
+    "km": (PLACE, lambda x: x / 1e3, r"got \[\d{4}\..*is it in km"),
+    "knots": (SPEED, lambda x: x * 3600.0 / 1852.0, "is it in knots"),
+    "mg": (FORCE, lambda x: x * 1e3, "is it in mg"),
+    "zeros": (PLACE, np.nan_to_num, "An absent position must be NaN"),
     "local": (
-        lambda r: {"velocity_e": np.tile([60.0, 52.0, 0.0], (len(r.gnss_time), 1))},
-        "but it differs from the motion of the positions",
+        SPEED,
+        lambda x: 0.0 * np.nan_to_num(x) + [60.0, 52.0, 0.0],
+        "it differs from the motion of the positions",
     ),
-    "km/h": (lambda r: {"velocity_e": 3.6 * np.asarray(r.velocity_e)}, "is it in km/h"),
+    "km/h": (SPEED, lambda x: 3.6 * x, "is it in km/h"),
     "held": (
-        lambda r: {"position_e": np.repeat(r.position_e[::8], 8, 0)[: len(r.gnss_time)]},
+        PLACE,
+        lambda x: np.repeat(x[::8], 8, 0)[: len(x)],
         "are positions held from one solution to the next",
     ),
-    "g": (lambda r: {"specific_force_b": np.asarray(r.specific_force_b) / 9.8}, "is it in g"),
+    "g": (FORCE, lambda x: x / 9.8, "is it in g"),
 }
 
 
 @pytest.mark.parametrize("mistake", REFUSED)
 def test_what_cannot_be_is_refused_with_its_cause(recording, mistake):
-    change, said = REFUSED[mistake]
+    name, change, said = REFUSED[mistake]
+    wrong = replace(recording, **{name: change(np.asarray(getattr(recording, name)))})
     with pytest.raises(ValueError, match=said):
-        replay(replace(recording, **change(recording)), RECEIVER, noise_variance=NOISE**2)
+        replay(wrong, RECEIVER, noise_variance=NOISE**2)
 
 
 def test_positions_may_be_noisier_than_they_move_from_epoch_to_epoch(recording):

@@ -165,18 +165,23 @@ def test_a_worker_with_other_code_refuses(tmp_path):
         store.check_code()
 
 
-def test_an_error_of_a_cell_comes_through_and_the_rest_stays(tmp_path):
+def test_an_error_comes_through_and_the_rest_stays_of_workers_with_ctrl_c_blocked(tmp_path):
     class Wrong(Listed):
         def run(self, cell, results, context):
-            if cell.key == "b":
-                raise ValueError("b is wrong")
-            return Result()
+            if cell.key == "wrong":
+                raise ValueError("it is wrong")
+            return Result(record=[int(s) for s in signal.pthread_sigmask(signal.SIG_BLOCK, ())])
 
-    cells = Cell("a", {}, 2.0), Cell("b", {}, 1.0)
+    right = Cell("a", {}), Cell("b", {})
+    cells = *right, Cell("wrong", {}, after=("a", "b"))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     for jobs in (1, 2):
-        with pytest.raises(ValueError, match="b is wrong"):
-            run_experiment(Wrong(listed=cells), Store(tmp_path / str(jobs)), jobs=jobs)
-    assert Store(tmp_path / "1").build_path("a").is_file()
+        store = Store(tmp_path / str(jobs))
+        with pytest.raises(ValueError, match="it is wrong"):
+            run_experiment(Wrong(listed=cells), store, jobs=jobs)
+        for cell in right:
+            assert (signal.SIGINT in store.get(cell).record) == (jobs == 2)
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
 
 def test_a_killed_worker_is_one_line_and_the_same_command_goes_on(tmp_path, whole):
@@ -230,17 +235,6 @@ def test_ctrl_c_and_a_kill_keep_what_is_finished_and_end_the_workers(kill, tmp_p
     assert content(tmp_path).items() < whole.items()
     run_experiment(Numbers(), Store(tmp_path))
     assert content(tmp_path) == whole
-
-
-def test_workers_have_ctrl_c_blocked_before_they_begin(tmp_path):
-    class Masked(Listed):
-        def run(self, cell, results, context):
-            return Result(record=[int(s) for s in signal.pthread_sigmask(signal.SIG_BLOCK, ())])
-
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
-    results = run_experiment(Masked(listed=(Cell("a", {}), Cell("b", {}))), Store(tmp_path), jobs=2)
-    assert all(signal.SIGINT in results[key].record for key in "ab")
-    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
 
 @pytest.mark.nightly
