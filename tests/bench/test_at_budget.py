@@ -196,8 +196,8 @@ def test_runs_on_the_engine_are_those_that_each_value_plays_alone():
     setup = TightlyCoupledSetup(detector="never", **settings)
     named = {key: x for key, x in WORLD["detector"].items() if key != "thresholds"}
     judge, values = make_detector(named), np.array([0.1, 0.3, 1.0])
-    seeds = seeds_of_runs(0, "training", setup.name, range(12))
-    rngs = lambda: make_generators(seeds)  # noqa: E731
+    seeds = lambda: seeds_of_runs(0, "training", setup.name, range(12))  # noqa: E731
+    rngs = lambda: make_generators(seeds())  # noqa: E731
     engine = EngineRuns(Panel(setup, [judge], rngs, 1), 0, RAMP)
     start = WarmStart(setup.copy_with(detector=judge), rngs(), threads=1)
     clean = play(start, "none")
