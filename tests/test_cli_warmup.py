@@ -8,6 +8,7 @@ from pathlib import Path
 import numba
 import pytest
 
+from spoofgym.cli.warmup import _play
 from spoofgym.core.compile import CACHE_VARIABLE, cache_parent
 
 from .command_line import call, refused
@@ -28,6 +29,11 @@ def test_after_warmup_another_process_compiles_nothing(tmp_path, monkeypatch):
     compiled = [sum(each["compiled"] for each in run["environments"]) for run in runs]
     assert compiled[0] > 0
     assert compiled[1] == 0
+
+
+def test_warmup_of_all_detectors_says_nothing_of_their_memories(recwarn):
+    _play("all detectors", None)
+    assert not [str(each.message) for each in recwarn]
 
 
 def test_warmup_says_where_the_code_is_and_refuses_what_cannot_be_compiled(monkeypatch):

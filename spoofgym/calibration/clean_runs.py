@@ -21,7 +21,6 @@ from ..core.declared import check_number
 from ..core.progress import NullProgress, ProgressCallback
 from ..detectors import Calibrated, Detector, Never, PooledDetector
 from ..detectors.base import judge_epoch
-from ..detectors.isolated import Isolated
 from ..simulation.engine import processors
 from ..simulation.monitors import Monitor, Monitored, PassiveDetectors
 from ..simulation.setup import Setup, make_generators, seeds_of_runs
@@ -191,8 +190,8 @@ class Player:
         order = np.argsort(-draw_ages(self.setup, self.generators(split, numbers)), kind="stable")
         ends, left, whole = np.cumsum([len(chunk) for chunk in chunks]), list(chunks), None
         missing = np.ones(len(numbers), dtype=np.bool_)
-        pieces, waits = self._chunks(order), any(isinstance(each, Isolated) for each in detectors)
-        played = map_ordered(work, [numbers[rows] for rows in pieces], self.threads, waits)
+        pieces = self._chunks(order)
+        played = map_ordered(work, [numbers[rows] for rows in pieces], self.threads)
         for rows, part in zip(pieces, played, strict=True):
             if whole is None:
                 whole = [np.empty((len(numbers), *x.shape[1:]), x.dtype) for x in part]
@@ -238,17 +237,12 @@ def check_stopped(stopped: threading.Event | None) -> None:
 
 
 def map_ordered(
-    work: Callable[[Any, threading.Event], Any],
-    items: Iterable[Any],
-    threads: int | None,
-    waits: bool = False,
+    work: Callable[[Any, threading.Event], Any], items: Iterable[Any], threads: int | None
 ) -> Iterator[Any]:
-    """Call `work` on items in threads, all useful ones by default; results in their order. Where
-    `work` often waits for another process, half as many again fill the gaps."""
+    """Call `work` on items in threads, all useful ones by default; results in their order."""
     stopped = threading.Event()
     waiting: deque[Future[Any]] = deque()
     threads = min(threads or processors(), processors())
-    threads += -(-threads // 2) if waits else 0
     with ThreadPoolExecutor(threads) as pool:
         try:
             for item in items:

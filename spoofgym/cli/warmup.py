@@ -75,6 +75,7 @@ def _play(name: str, receivers: int | None) -> None:
     import numpy as np
 
     from ..calibration.thresholds import suitable_detectors
+    from ..detectors.base import YoungMemoryWarning
 
     options: dict[str, Any] = {}
     if name == DETECTORS:
@@ -86,14 +87,15 @@ def _play(name: str, receivers: int | None) -> None:
     make: Any = gym.make if receivers is None else gym.make_vec
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*is out of date", DeprecationWarning)
+        warnings.simplefilter("ignore", YoungMemoryWarning)  # what is found is not looked at
         env: Any = make(name, **how, **options)
-    env.action_space.seed(0)
-    env.reset(seed=0)
-    ended = False
-    while not ended:
-        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        ended = bool(np.any(terminated | truncated))
-    if receivers is None:
-        env.reset()
-    env.step(env.action_space.sample())
-    env.close()
+        env.action_space.seed(0)
+        env.reset(seed=0)
+        ended = False
+        while not ended:
+            _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+            ended = bool(np.any(terminated | truncated))
+        if receivers is None:
+            env.reset()
+        env.step(env.action_space.sample())
+        env.close()
