@@ -55,7 +55,10 @@ def compare_attacks(settings: dict[str, Any], detector: Any) -> int:
     own, and candidates of an open-loop attack."""
     play.DROP_EVERY, found = 1, []
     setup = make_core(select_victim("tightly-coupled"), 1, {**settings, "detector": "never"}).setup
-    rngs = lambda: make_generators(seeds_of_runs(0, "training", setup.name, range(3)))  # noqa: E731
+
+    def rngs() -> list[np.random.Generator]:
+        return make_generators(seeds_of_runs(0, "training", setup.name, range(3)))
+
     for device in WHERE:
         panel = Panel(setup, [make_detector(detector)], rngs, 1, device=device)
         ramps = [{"name": "ramp", "rate_mps": rate} for rate in RATES]

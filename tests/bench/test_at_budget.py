@@ -196,8 +196,10 @@ def test_runs_on_the_engine_are_those_that_each_value_plays_alone():
     setup = TightlyCoupledSetup(detector="never", **settings)
     named = {key: x for key, x in WORLD["detector"].items() if key != "thresholds"}
     judge, values = make_detector(named), np.array([0.1, 0.3, 1.0])
-    seeds = lambda: seeds_of_runs(0, "training", setup.name, range(12))  # noqa: E731
-    rngs = lambda: make_generators(seeds())  # noqa: E731
+
+    def rngs():
+        return make_generators(seeds_of_runs(0, "training", setup.name, range(12)))
+
     engine = EngineRuns(Panel(setup, [judge], rngs, 1), 0, RAMP)
     start = WarmStart(setup.copy_with(detector=judge), rngs(), threads=1)
     clean = play(start, "none")
@@ -218,7 +220,10 @@ def test_runs_on_the_engine_are_those_that_each_value_plays_alone():
 def test_a_threshold_moves_the_score_by_its_elasticity():
     setup = TightlyCoupledSetup(detector="never", timeline=support.SHORT)
     judge = Calibrated(make_detector("snapshot-chi2"), scale=1.0)
-    rngs = lambda: make_generators(seeds_of_runs(0, "training", setup.name, range(16)))  # noqa: E731
+
+    def rngs():
+        return make_generators(seeds_of_runs(0, "training", setup.name, range(16)))
+
     panel = Panel(setup, [judge], rngs, 1)
     assert panel.at_thresholds(0, FACTOR, 8).judges[0].scale == FACTOR
     assert judge.scale == 1.0

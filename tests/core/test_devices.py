@@ -38,7 +38,10 @@ def test_an_environment_that_is_too_large_is_refused_before_it_is_allocated(monk
     from spoofgym.cuda import memory, pool, supported, vector_env
 
     nothing = {"SIMULATED": True, "import_torch": lambda: torch, "launch": lambda *_: None}
-    check = lambda _, __, *sizes: check_free_memory(MEMORY, CARD, *sizes)  # noqa: E731
+
+    def check(_, __, *sizes):
+        check_free_memory(MEMORY, CARD, *sizes)
+
     for module in (memory, pool, supported, vector_env):
         for name, stand_in in {**nothing, "check_free_memory": check}.items():
             monkeypatch.setattr(module, name, stand_in, raising=False)
