@@ -22,6 +22,8 @@ from spoofgym.detectors import Detector, Never, Verdict
 
 MARK = re.compile(rb"ENTROPY-IS-(\d{20})")
 RUNS = 4
+PIECE = 1 << 24
+"""Bytes of memory that are searched at a time."""
 
 
 class Outsider(Detector):
@@ -123,10 +125,13 @@ class Proc(Outsider):
         with contextlib.suppress(OSError), open(f"/proc/{pid}/mem", "rb", 0) as memory:
             for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
                 first, last = (int(each, 16) for each in line.split()[0].split("-"))
-                if " rw-p " in line and last - first < 1 << 26:
-                    memory.seek(first)
+                if " rw-p " not in line:
+                    continue
+                for start in range(first, last, PIECE):  # the kernel joins what lies side by side
                     with contextlib.suppress(OSError, ValueError):
-                        found.update(map(int, MARK.findall(memory.read(last - first))))
+                        memory.seek(start)
+                        piece = memory.read(min(PIECE + 64, last - start))
+                        found.update(map(int, MARK.findall(piece)))
         return found
 
 
