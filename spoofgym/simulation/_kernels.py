@@ -257,16 +257,55 @@ def shift_response(
                 e[i] -= predicted_cov[b, i, j] * before[j]
 
 
+@njit
+def part_along(position, reference, axes, axis):
+    """Part of a difference of positions (d,) along one of the local `axes` (d, e)."""
+    total = (position[0] - reference[0]) * axes[0, axis]
+    for i in range(1, position.shape[0]):
+        total += (position[i] - reference[i]) * axes[i, axis]
+    return total
+
+
+@njit
+def local_error(position_e, true_position_e, C_en, epochs, out):
+    """Errors of positions (B, 3) at `epochs` (B,) in the local axes there: `out` (B, 3), written.
+    `true_position_e` (K, 3) and local axes `C_en` (K, 3, 3) at all epochs."""
+    for b in range(out.shape[0]):
+        k = epochs[b]
+        for j in range(out.shape[1]):
+            out[b, j] = part_along(position_e[b], true_position_e[k], C_en[k], j)
+
+
+@njit
+def remember_positions(position, epochs, past, past_epochs):
+    """Write positions (B, d) at `epochs` (B,) to their places in the `past` (B, h, d), and which
+    epochs these are of, (B, h)."""
+    for b in range(epochs.shape[0]):
+        place = epochs[b] % past_epochs.shape[1]
+        past_epochs[b, place] = epochs[b]
+        for i in range(position.shape[1]):
+            past[b, place, i] = position[b, i]
+
+
 REPORTS = 0xAD5B  # word of the counters from which latencies of reports are drawn
 
 
 @njit
-def latest_reports(epochs, onset, keys, every, latency, out):
-    """Epoch of the newest report that has arrived by the epochs (B,): `out` (B,), written. `keys`
-    (B, 2) of the episodes; a report of every `every` epochs counted from the onset, with a latency
-    of its own between 0 and `latency` epochs, drawn by its key and its epoch."""
+def read_reports(past, past_epochs, epochs, onset, keys, true_position, C_en, rules, out):
+    """What the newest report says that has arrived by the `epochs` (B,): `out` (B, 3), written.
+
+    A report is of every so many epochs counted from the `onset` (B,), before it, too; its latency
+    is drawn by its epoch and the `keys` (B, 2) of the episode. `past`, `past_epochs` as
+    `remember_positions` writes them; `true_position` (K, d) and local axes `C_en` (K, d, e) at all
+    epochs; `rules`: epochs between reports and of the largest latency, duration of an epoch [s],
+    distance that is written as 1, steps of the position [m], and whether the true position at the
+    time of the report is taken off. `out`: north and east of the onset, and age [s]; all 0 where
+    no report has arrived.
+    """
+    every, latency, interval_s = int(rules[0]), rules[1], rules[2]
+    scale_m, step_m, less_true = rules[3], rules[4], rules[5] != 0.0
     for b in range(out.shape[0]):
-        newest = epochs[b] - (epochs[b] - onset[b]) % every
+        newest, first = epochs[b] - (epochs[b] - onset[b]) % every, onset[b]
         while True:
             counter = np.uint64(newest), np.uint64(REPORTS)
             word, _ = threefry(counter[0], counter[1], keys[b, 0], keys[b, 1])
@@ -274,7 +313,19 @@ def latest_reports(epochs, onset, keys, every, latency, out):
             if newest + part * latency <= epochs[b]:
                 break
             newest -= every
-        out[b] = newest
+        place = newest % past_epochs.shape[1]
+        known = past_epochs[b, place] == newest
+        for j in range(2):
+            ground = 0.0
+            if known:
+                ground = part_along(past[b, place], true_position[first], C_en[first], j)
+                if step_m > 0.0:  # zeros have signs, too
+                    ground = math.copysign(step_m * round(abs(ground) / step_m), ground)
+                if less_true:
+                    true = true_position[newest], true_position[first], C_en[first]
+                    ground -= part_along(*true, j)
+            out[b, j] = ground / scale_m
+        out[b, 2] = (epochs[b] - newest) * interval_s if known else 0.0
 
 
 @njit

@@ -24,7 +24,7 @@ from ..detectors import Detector, Verdict
 from ..detectors.base import check_needs, find_name, judge_epoch
 from ..detectors.calibrated import unwrap
 from ..receiver.epoch import ALWAYS, Epoch, frozen, select_receiver
-from ._kernels import latest_reports
+from ._kernels import remember_positions
 
 FloatArray = NDArray[np.float64]
 
@@ -185,37 +185,24 @@ HISTORY_EPOCHS = 64  # epochs whose positions are stored
 
 class PastPositions(Monitor):
     """Positions that the victims have believed at the last `HISTORY_EPOCHS` epochs that were
-    judged. `memory`: ``position`` (B, HISTORY_EPOCHS, d) in the axes of `Setup.true_position` [m],
-    and ``of`` (B, HISTORY_EPOCHS) the epoch of each, -1 for none; that of epoch k is at the place k
-    modulo `HISTORY_EPOCHS`."""
+    judged. `memory`: ``past_position`` (B, HISTORY_EPOCHS, d) in the axes of `Setup.true_position`
+    [m], and ``past_epochs`` (B, HISTORY_EPOCHS), the epoch of each, -1 for none; that of epoch k is
+    at the place k modulo `HISTORY_EPOCHS`."""
+
+    @staticmethod
+    def empty(receivers: int, epochs: int, axes: int) -> dict[str, NDArray[Any]]:
+        """The memory of so many epochs, with none yet."""
+        past_epochs = np.full((receivers, epochs), -1, dtype=np.int64)
+        return {"past_position": np.zeros((receivers, epochs, axes)), "past_epochs": past_epochs}
 
     def bind(self, simulator: Monitored) -> None:
         receivers, setup = simulator.receivers, simulator.setup  # type: ignore[attr-defined]
-        axes = setup.true_position.shape[1]
-        self.memory = Memory(receivers)
-        self.memory.declare("position", np.zeros((receivers, HISTORY_EPOCHS, axes)))
-        self.memory.declare("of", np.full((receivers, HISTORY_EPOCHS), -1, dtype=np.int64))
+        self.memory, axes = Memory(receivers), setup.true_position.shape[1]
+        self.memory.declare_all(**self.empty(receivers, HISTORY_EPOCHS, axes))
 
     def update(self, simulator: Any) -> None:
         """Nothing: what the victim believes of the epoch is known after the update."""
 
     def observe_update(self, simulator: Any) -> None:
-        rows, epochs = np.arange(simulator.receivers), simulator.epochs
-        self.memory["position"][rows, epochs % HISTORY_EPOCHS] = simulator.position
-        self.memory["of"][rows, epochs % HISTORY_EPOCHS] = epochs
-
-
-def reports(
-    simulator: Any, every: int, latency_epochs: float
-) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Positions of the newest reports that have arrived, (B, d), and their epochs, (B,). A report
-    is of every so many epochs from the onset on, before it, too; its latency is uniform between 0
-    and `latency_epochs`. Where none has arrived yet the epoch is -1 and the position 0."""
-    past = simulator.monitor(PastPositions).memory
-    epochs, onset, keys = simulator.epochs, simulator.onset, simulator.memory["key"]
-    newest = np.empty(len(epochs), dtype=np.int64)
-    latest_reports(epochs, onset, keys, every, latency_epochs, newest)
-    rows, places = np.arange(len(epochs)), newest % HISTORY_EPOCHS
-    present = past["of"][rows, places] == newest
-    position = np.where(present[:, None], past["position"][rows, places], 0.0)
-    return position, np.where(present, newest, -1)
+        past = self.memory["past_position"], self.memory["past_epochs"]
+        remember_positions(simulator.position, simulator.epochs, *past)

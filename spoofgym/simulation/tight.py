@@ -34,8 +34,9 @@ from ..truth.scenario import Scenario, make_scenario
 from ..truth.sensors import SensorBuffers
 from ..truth.signal_errors import MAPPINGS, OBLIQUITIES, compute_mappings, stack_obliquities
 from . import _kernels
-from ._kernels import JUDGE, REMEMBER, displace, local_motion
+from ._kernels import JUDGE, REMEMBER, displace, local_error, local_motion
 from .domain import Choice, Combinations, Domain, FloatArray, build_worlds, share_worlds
+from .monitors import PastPositions
 from .setup import Run, Setup, Timeline
 from .simulator import Rngs, Rows, Sequel, Simulator, SkyData
 
@@ -325,6 +326,7 @@ class TightlyCoupledSimulator(Simulator):
     def lasting_arrays(self) -> dict[str, NDArray[Any]]:
         """What there is of receivers that have just started, (B, ...) by name."""
         buffers, sensors, attack = self.buffers, self.sensors, self.attack.memory
+        pasts = [each.memory for each in self.monitors if isinstance(each, PastPositions)]
         return {
             "x": buffers.fields.gather(),
             "assumed": buffers.assumed.gather(),
@@ -335,6 +337,7 @@ class TightlyCoupledSimulator(Simulator):
             "in_run": sensors.in_run.gather(),
             "signals": sensors.signals.gather(),
             **{name: attack[name] for name in ("displacement", "rate", "target_error")},
+            **(pasts[0] if pasts else PastPositions.empty(self.receivers, 0, 3)),
         }
 
     def _context(self) -> DetectorContext:
@@ -681,15 +684,10 @@ class TightlyCoupledSimulator(Simulator):
         self._run(partial(self._epochs, ADVANCE + UPDATE + SHOW, count=count), self.receivers)
 
     def error_n(self) -> FloatArray:
-        world = self.setup.world.at_hand
-        error_e = self.buffers.position_e - world.position_e[self.epochs]
-        axes = world.C_en[self.epochs]
-        # a sum of products, since the bits of a matrix product depend on the size of the batch, and
-        # term by term, which takes half as long as NumPy's sum over so few
-        result: FloatArray = error_e[:, :1] * axes[:, 0]
-        result += error_e[:, 1:2] * axes[:, 1]
-        result += error_e[:, 2:] * axes[:, 2]
-        return result
+        world, error_n = self.setup.world.at_hand, np.empty((self.receivers, 3))
+        truth = world.position_e, world.C_en, self.epochs
+        local_error(self.buffers.position_e, *truth, error_n)
+        return error_n
 
     def displacement(self, origin: FloatArray, twin: Self | None, out: FloatArray) -> None:
         setup, memory = self.setup, self.memory

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.declared import check_word, setting, settings_record
+from ...simulation._kernels import read_reports
 from ...simulation.divergence import Divergence
 from ...simulation.domain import FloatArray
-from ...simulation.monitors import HISTORY_EPOCHS, PastPositions, reports
+from ...simulation.monitors import HISTORY_EPOCHS, PastPositions
 from ...simulation.setup import Setup
 from ...simulation.simulator import Simulator
 from ...spoofers.base import KNOWLEDGE, LEVELS, REPORTED, list_axes
@@ -406,6 +407,7 @@ class ReportedPosition(_Term):
     knowledge: ClassVar[str] = REPORTED
     needs: ClassVar[tuple[type[PastPositions], ...]] = (PastPositions,)
     word: ClassVar[str] = "position"
+    less_true: ClassVar[bool] = False
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         every, latency = self._epochs(setup)
@@ -422,20 +424,17 @@ class ReportedPosition(_Term):
         interval = setup.interval_s
         return max(1, round(self.interval_s / interval)), self.latency_s / interval
 
+    def rules(self, setup: Setup) -> FloatArray:
+        """Those of `read_reports`."""
+        how = setup.interval_s, self.scale_m, self.step_m, float(self.less_true)
+        return np.array([*self._epochs(setup), *how])
+
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         simulator, setup = snapshot.simulator, snapshot.setup
-        position, of = reports(simulator, *self._epochs(setup))
-        onset, known = simulator.onset, of >= 0
-        apart = position - setup.true_position[onset]
-        ground = (apart[:, :, None] * setup.C_en[onset]).sum(axis=1)[:, :2]
-        if self.step_m > 0.0:
-            ground = self.step_m * np.round(ground / self.step_m)
-        self._less(snapshot, of, ground)
-        out[:, :2] = np.where(known[:, None], ground / self.scale_m, 0.0)
-        out[:, 2] = np.where(known, (simulator.epochs - of) * setup.interval_s, 0.0)
-
-    def _less(self, snapshot: Snapshot, of: NDArray[np.int64], ground: FloatArray) -> None:
-        """Take off what the spoofer knows of it; (B, 2), overwritten."""
+        past = simulator.monitor(PastPositions).memory
+        remembered = past["past_position"], past["past_epochs"]
+        now = simulator.epochs, simulator.onset, simulator.memory["key"]
+        read_reports(*remembered, *now, setup.true_position, setup.C_en, self.rules(setup), out)
 
 
 @settings_record(frozen=True)
@@ -454,11 +453,7 @@ class ReportedDeviation(ReportedPosition):
     knowledge: ClassVar[str] = f"tracking+{REPORTED}"
     limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
     word: ClassVar[str] = "deviation"
-
-    def _less(self, snapshot: Snapshot, of: NDArray[np.int64], ground: FloatArray) -> None:
-        setup, onset = snapshot.setup, snapshot.simulator.onset
-        flown = setup.true_position[np.maximum(of, 0)] - setup.true_position[onset]
-        ground -= (flown[:, :, None] * setup.C_en[onset]).sum(axis=1)[:, :2]
+    less_true: ClassVar[bool] = True
 
 
 OBSERVATION_TERMS: dict[str, type[ObservationTerm]] = {
