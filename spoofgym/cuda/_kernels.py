@@ -19,26 +19,30 @@ from ..detectors.cusum import advance_sums
 from ..envs import _kernels as envs
 from ..receiver import _kernels as receiver
 from ..receiver.kalman import square_all
-from ..simulation._kernels import FALSE_POSITION, PER_CHANNEL, displace, local_motion
+from ..simulation import _kernels as simulation
 from ..simulation.simulator import FARTHEST
+from ..simulation.tight import AFTER_ONSET
 from ..truth.noise import threefry
 from ..truth.run import EpochTruth
+from ..truth.sensors import SOURCES
 
-OFFSETS = 1 + max(FALSE_POSITION, PER_CHANNEL)
+DOMAIN = 2 * SOURCES.index("domain")  # first word of its key
+RENEWED = tuple(SOURCES.index(name) for name in AFTER_ONSET)  # at the onset
+OFFSETS = 1 + max(simulation.FALSE_POSITION, simulation.PER_CHANNEL)
 NEVER, EWMA, PASSIVE_EWMA, SHEWHART, CUSUM, SNAPSHOT, WINDOWED = range(7)
 ATTACKED, JUDGED, ALL = 1, 2, 3
 UNSOUND, DIVERGED = 1, 2  # what a thread finds, in `faults`
 
 # What lasts of every receiver: `x` to `coasting` of `ReceiverBuffers`, `sensors` to `signals` of
-# `SensorBuffers`, `displacement` to `residual` of an attack, `covariance` of innovations, a view of
-# `out`, `first` to `judged` of the detector, `statistic` to `weights` of its verdict; then scratch
-# memory of kernels, and what they have found.
+# `SensorBuffers`, then of `PastPositions`, `displacement` to `residual` of an attack, `covariance`
+# of innovations, a view of `out`, `first` to `judged` of the detector, `statistic` to `weights` of
+# its verdict; then scratch memory of kernels, and what they have found.
 Receivers = namedtuple(
     "Receivers",
-    "x assumed out visible coasting sensors constants keys epochs range_offset rate_offset "
-    "in_run signals displacement rate target_error requested taken orders bases residual "
-    "covariance first second judged statistic threshold alarm weights work "
-    "spans offset_work faults",
+    "x assumed out visible coasting sensors constants keys epochs range_offset rate_offset in_run "
+    "signals past_position past_epochs displacement rate target_error requested taken orders bases "
+    "residual covariance first second judged statistic threshold alarm weights work spans "
+    "offset_work faults",
 )
 # What all receivers share: truth and rules as in `Arrays`, then of attack and detector.
 Shared = namedtuple(
@@ -49,13 +53,14 @@ Shared = namedtuple(
 # Episodes, as in `SpoofCore`: `action` and `before` (B, k), the last decisions, of which `now` is
 # made and, by `matrix` (B, a, k), the `command` (B, a); `pace`: epochs of a decision, and whether
 # it is linear between; `sums`: `values` of its earlier epochs; `number` (B,) of the episode;
-# `motion` (B, 6), `time` (B, 2), and, where they have rows, offsets (B, S) and `action_mask` (B, a)
-# are observed.
+# `motion` (B, 6), `time` (B, 2), `error` (B, 3), and, where there are any, what is `reported`
+# (B, 3), offsets (B, S) and `action_mask` (B, a) are observed.
 Episodes = namedtuple(
     "Episodes",
     "action before now command matrix following pace onset direction origin warmup_alarm "
     "step_count undetected largest detected ended no_rows values sums marks rules per_rate table "
-    "seen number picked motion scales time offsets_m requested_offsets_m action_mask",
+    "seen number picked motion scales time error reported report_rules offsets_m "
+    "requested_offsets_m action_mask",
 )
 
 
@@ -94,8 +99,7 @@ def judge(r, t, w, b, detector):
         threshold[0, c] = s[3] * threshold[0, c]
         r.alarm[b, c] = statistic[0, c] > threshold[0, c]
     if detector == PASSIVE_EWMA:
-        for k in range(weights.shape[1]):
-            weights[0, k] = 1.0
+        weights[:] = 1.0
 
 
 def name_offsets(r, b):
@@ -114,10 +118,10 @@ def move_attack(r, t, w, b, command, hold, attack):
     commanded, epochs = Commanded(command, hold, t.attack_settings, *moved), r.epochs[b:e]
     truth = EpochTruth(t.epoch_time, t.satellites, t.position_e, t.velocity_e)
     error = r.target_error[b:e]
-    if attack == FALSE_POSITION:
+    if attack == simulation.FALSE_POSITION:
         rest = epochs, truth, t.captured, *offsets, 0, w.solution[8:14], w.solution[:8]
         displace_antenna(commanded, t.axes_e, error, *rest)
-    elif attack == PER_CHANNEL:
+    elif attack == simulation.PER_CHANNEL:
         per_channel(commanded, t.slots, epochs, truth, t.captured, *offsets, 0, 1)
     elif attack == OFFSETS:
         capturing, scratch = name_offsets(r, b)
@@ -144,9 +148,11 @@ def run_receiver(r, t, b, command, hold, attack, detector, what):
         for c in range(r.alarm.shape[1]):
             alarmed = alarmed or r.alarm[b, c]
     receiver.update_group(a, w, 0, r.weights[b:e])
-    for i in range(3):  # `show_position` has written it
-        if not abs(r.out[b, 2 + i]) <= FARTHEST:
-            r.faults[b] |= DIVERGED
+    position, past = r.out[b:e, 2:5], (r.past_position[b:e], r.past_epochs[b:e])
+    if simulation.find_diverged(position, FARTHEST) >= 0:
+        r.faults[b] |= DIVERGED
+    if what & JUDGED and past[1].shape[1] > 0:
+        simulation.remember_positions(position, r.epochs[b:e], *past)
     return alarmed
 
 
@@ -182,8 +188,7 @@ def play_step(r, t, p, attack, detector):
         play_scored(r, t, p, b, attack, detector)
         if k > 0:
             add_earlier(p.values, p.sums, b)
-        alarmed = alarmed or p.marks[envs.ALARM, b]
-        p.marks[envs.ALARM, b] = alarmed
+        p.marks[envs.ALARM, b] = alarmed = alarmed or p.marks[envs.ALARM, b]
         for row in range(p.values.shape[0]):
             p.sums[row, b] = p.values[row, b]
     envs.report_loudest(r.statistic[b:e], r.threshold[b:e], p.values[:, b])
@@ -212,7 +217,7 @@ def play_scored(r, t, p, b, attack, detector):
             continue
         aim = r.epochs[b:e], p.direction[b:e], p.rules[envs.WORST] > 0.0, p.origin[b:e]
         out = p.values[envs.DISPLACEMENT, b:e]
-        displace(r.out[b:e, 2:5], t.position_e, r.epochs[b:e], t.C_en, *aim, out, 0, 1)
+        simulation.displace(r.out[b:e, 2:5], t.position_e, r.epochs[b:e], t.C_en, *aim, out, 0, 1)
         progress = p.step_count, p.detected, p.ended, p.undetected, p.largest
         held = envs.score(r.alarm, p.no_rows, p.rules, *progress, p.values, p.marks, b, e)
     if held:
@@ -223,16 +228,21 @@ def play_scored(r, t, p, b, attack, detector):
 
 
 def look(r, t, p):
-    """Write what is tabled, own command and offsets, time and motion, as they are observed now."""
+    """Write what terms observe now, but for what is at hand."""
     b = cuda.grid(1)
     if b >= r.epochs.shape[0]:
         return
     e = b + 1
-    now = r.epochs, r.displacement, r.rate, p.direction
+    now, at = (r.epochs, r.displacement, r.rate, p.direction), (r.epochs[b:e], p.onset[b:e])
     envs.observe(p.rules, p.per_rate, p.table, *now, p.seen, b, e)
-    envs.time_fractions(r.epochs[b:e], p.onset[b:e], p.rules[envs.STEPS], p.time[b:e])
-    motion = t.position_e, t.velocity_e, t.C_en, r.epochs[b:e], p.onset[b:e]
-    local_motion(*motion, p.scales[0], p.scales[1], p.motion[b:e])
+    envs.time_fractions(*at, p.rules[envs.STEPS], p.time[b:e])
+    true = t.position_e, t.velocity_e, t.C_en
+    simulation.local_motion(*true, *at, p.scales[0], p.scales[1], p.motion[b:e])
+    simulation.local_error(r.out[b:e, 2:5], t.position_e, t.C_en, at[0], p.error[b:e])
+    if p.report_rules.shape[0] > 0:
+        past, key = (r.past_position[b:e], r.past_epochs[b:e]), r.keys[b:e, DOMAIN : DOMAIN + 2]
+        rest = key, t.position_e, t.C_en, p.report_rules, p.reported[b:e]
+        simulation.read_reports(*past, *at, *rest)
     if p.action_mask.shape[0] > 0:
         capturing, w = name_offsets(r, b)
         truth = EpochTruth(t.epoch_time, t.satellites, t.position_e, t.velocity_e)
@@ -242,9 +252,9 @@ def look(r, t, p):
         list_slots(r.requested[b:e], *known, p.requested_offsets_m[b:e], coming, 0, w)
 
 
-def pick(p, keys, pasts, seed, sources):
+def pick(p, keys, pasts, seed):
     """Choose a past by episode, receiver and seed, where one is over, -1 elsewhere, and draw the
-    keys of noise that goes on, by its `sources`; the others are those of the `pasts` (M, k)."""
+    keys of noise that goes on; the others are those of the `pasts` (M, k)."""
     b = cuda.grid(1)
     if b >= p.picked.shape[0]:
         return
@@ -256,8 +266,7 @@ def pick(p, keys, pasts, seed, sources):
     past = np.int64(k0 % np.uint64(pasts.shape[0]))
     for i in range(keys.shape[1]):
         keys[b, i] = pasts[past, i]
-    for i in range(sources.shape[0]):
-        source = sources[i]
+    for source in RENEWED:
         key = threefry(np.uint64(source), np.uint64(0), k0, k1)
         keys[b, 2 * source], keys[b, 2 * source + 1] = key[0], key[1]
     for i in range(p.action.shape[1]):

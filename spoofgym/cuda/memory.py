@@ -1,7 +1,4 @@
-"""Receivers on a device: tensors with the receivers last in memory, and views of them for kernels.
-
-A receiver has on a device what a batch of one has on the processor.
-"""
+"""Receivers on a device: tensors with the receivers last, and views of them for kernels."""
 
 from __future__ import annotations
 

@@ -35,6 +35,9 @@ TERMS: dict[type[Any], Callable[[Any, Any, Any], Any]] = {
     seen.SatelliteGeometry: lambda arrays, rows, term: rows["geometry"][arrays["epochs"]],
     seen.GainWeight: lambda arrays, rows, term: arrays["weights"],
     seen.StatisticRatio: _see_ratio,
+    seen.EstimateError: lambda arrays, rows, term: arrays["error"] * (1.0 / term.scale_m),
+    seen.ReportedPosition: lambda arrays, rows, term: arrays["reported"],
+    seen.ReportedDeviation: lambda arrays, rows, term: arrays["reported"],
 }
 """What is observed by a term, in the first columns, of tensors of receivers, and of all."""
 
@@ -44,19 +47,17 @@ def check_receivers(setup: Setup, *, attacked: bool = True) -> None:
     if not isinstance(setup, TightlyCoupledSetup):
         raise ValueError(f"device='cuda' has no {setup.whose}: only a tightly coupled receiver")
     detector: Any = split_scale(setup.detector)[0]
-    weighs = isinstance(detector, Ewma) and detector.weight_scale is not None
+    usual = {"bias_window_s": 0.0, "two_sided": False, "filter": "victim"}
+    if isinstance(detector, Ewma) and detector.weight_scale is not None:
+        usual |= {"max_exclusion_s": None, "min_satellites": 0}
+    elif isinstance(detector, Shewhart):
+        usual["weight_scale"] = None
     rescaled = isinstance(setup.detector, Calibrated) and setup.detector.rescaled
-    known = type(detector) in DETECTORS or rescaled
     found = {
         "receiver 'augmented'": setup.receiver.tuning == "augmented",
         "a detector with rescaled innovations": rescaled,
-        f"detector {type(detector).__name__}": not known,
-        "`max_exclusion_s` of the detector": weighs and detector.max_exclusion_s is not None,
-        "`min_satellites` of the detector": weighs and detector.min_satellites,
-        "`bias_window_s` of the detector": getattr(detector, "bias_window_s", 0.0) > 0.0,
-        "`two_sided` of the detector": getattr(detector, "two_sided", False),
-        "a filter of the detector's own": getattr(detector, "filter", "victim") != "victim",
-        "`weight_scale` of Shewhart": isinstance(detector, Shewhart) and detector.weight_scale,
+        f"detector {type(detector).__name__}": type(detector) not in DETECTORS and not rescaled,
+        **{f"`{x}` of the detector": getattr(detector, x, y) != y for x, y in usual.items()},
     }
     if attacked:
         attack: Any = setup.attack

@@ -17,9 +17,7 @@ from ..envs.core import SpoofCore
 from ..envs.env import HasSpec
 from ..envs.factory import DEFAULT_VICTIM, make_core, select_victim
 from ..envs.scoring import MARK_NAMES, MARKS
-from ..envs.terms.observation import SatelliteGeometry, TargetMotion
-from ..simulation.tight import AFTER_ONSET
-from ..truth.sensors import SOURCES
+from ..envs.terms import observation
 from . import _kernels
 from .memory import SCRATCH, Arrays, Tensors, view_for_kernels
 from .pool import launch, raise_faults, start_pasts
@@ -104,39 +102,36 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         each = pasts.bytes_each + 8 * (setup.steps + 1 + 2 * rows)
         check_free_memory(torch.cuda, device, b, each)
         terms = {type(term): term for term, _ in core.observer._parts}
-        motion: Any = terms.get(TargetMotion, TargetMotion())
+        motion: Any = terms.get(observation.TargetMotion, observation.TargetMotion())
+        reports = [x for x in terms.values() if isinstance(x, observation.ReportedPosition)]
         axes, decided = len(setup.action_names), len(core.action_names)
-        reported = b if self._reports else 0
-        offsets = np.zeros((reported, pasts["orders"].shape[1]))
+        singles = {"seen": len(core.observation_names), "motion": 6, "time": 2, "reported": 3}
+        offsets = np.zeros((b if self._reports else 0, pasts["orders"].shape[1]))
         own: Arrays = {
             **dict.fromkeys(("action", "before", "now"), np.zeros((b, decided))),
             **dict.fromkeys(("step_count", "number", "picked"), np.zeros(b, dtype=np.int64)),
             **dict.fromkeys(("detected", "ended", "no_rows"), np.zeros(b, dtype=np.bool_)),
             **dict.fromkeys(("offsets_m", "requested_offsets_m"), offsets),
-            "action_mask": np.zeros((reported, axes), dtype=np.bool_),
-            "seen": np.zeros((b, len(core.observation_names)), dtype=np.float32),
-            "motion": np.zeros((b, 6), dtype=np.float32),
-            "time": np.zeros((b, 2), dtype=np.float32),
+            "action_mask": np.zeros((len(offsets), axes), dtype=np.bool_),
+            **{name: np.zeros((b, k), dtype=np.float32) for name, k in singles.items()},
+            "error": np.zeros((b, 3)),
             "undetected": np.zeros(b),
         }
         self._arrays = pasts.resize(b) | Tensors(torch, own, device)
-        _, rules, per_rate, table = core._fused._fixed
         shared = {
             "largest": np.zeros((setup.steps + 1, b)),
             **dict.fromkeys(("values", "sums"), np.zeros((rows, b))),
             "marks": np.zeros((MARKS, b), dtype=np.bool_),
-            "rules": rules,
-            "per_rate": np.asarray(per_rate, dtype=np.float64),
-            "table": table,
+            **dict(zip(("rules", "per_rate", "table"), core._fused._fixed[1:], strict=True)),
             "following": core.commands._rules,
             "pace": np.array([setup.repeat, setup.between == "linear"], dtype=np.int64),
             "scales": 1.0 / np.array([motion.position_scale_m, motion.velocity_scale_mps]),
+            "report_rules": np.ravel([x.rules(setup) for x in reports]),  # of at most one
             "seed": np.zeros(2, dtype=np.uint64),
-            "sources": np.array([SOURCES.index(name) for name in AFTER_ONSET]),
             "low": core.bounds[0],
             "high": core.bounds[1],
         }
-        if SatelliteGeometry in terms:
+        if observation.SatelliteGeometry in terms:
             shared["geometry"] = np.asarray(setup.geometry_table(), dtype=np.float32)
         if isinstance(attack, Offsets):
             shared["unit_rates"] = attack.unit_rates(setup.world)
@@ -146,11 +141,9 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
         self._infos: dict[str, Any] = dict(zip(self._names, both, strict=True))
         self._infos |= {name: self._arrays[name] for name in self._reports}
         receivers = fleet.name_receivers(self._arrays)
-        views = self._arrays.views | self._rows.views
-        self._episodes = _kernels.Episodes(*(views[name] for name in _kernels.Episodes._fields))
+        self._episodes = (self._arrays | self._rows).name_views(_kernels.Episodes)
         self._known = receivers, fleet.shared, self._episodes
-        keys = receivers.keys, pasts.views["keys"]
-        self._pick = self._episodes, *keys, views["seed"], views["sources"]
+        self._pick = self._episodes, receivers.keys, pasts.views["keys"], self._rows.views["seed"]
         own_rows = (name for name, x in pasts.tensors.items() if len(x) == core.receivers)
         self._copies = [
             [view_for_kernels(_flatten(x[name]), name in x.words) for x in (self._arrays, pasts)]
@@ -210,9 +203,10 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
     def _check(self, actions: Any) -> None:
         torch, shape = self._torch, (self.num_envs, len(self.action_names))
         device = self._arrays["action"].device  # with its index
-        if not isinstance(actions, torch.Tensor) or actions.device != device:
-            found = getattr(actions, "device", type(actions).__name__)
-            raise TypeError(f"actions must be a tensor on {device}, got one on {found}")
+        where = isinstance(actions, torch.Tensor) and actions.device
+        if where != device:
+            found = f"one on {where}" if where else type(actions).__name__
+            raise TypeError(f"actions must be a tensor on {device}, got {found}")
         if tuple(actions.shape) != shape:
             names = ", ".join(self.action_names)
             raise ValueError(f"actions must have shape {shape} ({names}), got {actions.shape}")
@@ -247,5 +241,4 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
 
 def _flatten(tensor: Any) -> Any:
     """Receivers first, and all else in one axis."""
-    size = tensor[0].numel() if tensor.ndim > 1 else 1
-    return tensor.as_strided((tensor.shape[0], size), (1, tensor.shape[0]))
+    return tensor.as_strided((len(tensor), tensor[0].numel()), (1, len(tensor)))

@@ -49,11 +49,10 @@ class Processor:
         simulator = self.core.engine.simulator
         for b in rows.tolist():
             drawn = threefry(np.uint64(self.number[b]), np.uint64(b), *self.seed)
-            word = tuple(map(np.uint64, drawn))
-            row, past = np.array([b]), np.array([int(word[0] % np.uint64(PASTS))])
+            row, past = np.array([b]), np.array([drawn[0] % PASTS])
             simulator.copy_rows(row, self.pool, past)
             for name in AFTER_ONSET:
-                key = threefry(np.uint64(SOURCES.index(name)), np.uint64(0), *word)
+                key = threefry(np.uint64(SOURCES.index(name)), np.uint64(0), *map(np.uint64, drawn))
                 simulator.sensors.words.put(name, row, np.array([key], dtype=np.uint64))
         self.core.score.reset(rows)
         self.core._decisions.forget(rows)
@@ -91,13 +90,13 @@ def compare(settings: dict[str, Any]) -> dict[str, int]:
 
 
 def same(name: str, found: torch.Tensor, wanted: np.ndarray) -> None:
-    np.testing.assert_array_equal(found.numpy(), wanted, err_msg=name)
+    bits = (np.asarray(x).view(f"u{x.dtype.itemsize}") for x in (found, wanted))
+    np.testing.assert_array_equal(*bits, err_msg=name)
 
 
 def compare_lasting(tensors: Any, simulator: Any) -> int:
     """State, covariance, sensors and commands of all receivers."""
     found = {**simulator.lasting_arrays(), "weights": simulator.weights}
-    del found["keys"]  # which are unsigned
     for name, array in found.items():
         same(name, tensors[name], array)
     return sum(array.size for array in found.values())
@@ -116,31 +115,35 @@ def raises(error: type[Exception], message: str, work: Any, *given: Any, **how: 
         work(*given, **how)
 
 
+def take_turns(*envs: CudaVectorEnv) -> list[torch.Tensor]:
+    """All that each environment brings, from one seed, while they step in turn."""
+    found = [[env.reset(seed=1)[0]] for env in envs]
+    for env, own in [*zip(envs, found, strict=True)] * 5:
+        own += env.step(torch.ones(env.num_envs, 1))[:3]
+    return [torch.cat([each.ravel() for each in own]) for own in found]
+
+
 def refuse() -> dict[str, int]:
     """What an environment on a device refuses, and that two of them leave each other alone."""
     made = gym.make_vec("spoofgym/Zhong2025-v0", num_envs=2, device="cuda", pasts=2, **SETTINGS)
     env = made.unwrapped
     assert isinstance(env, CudaVectorEnv)
-    other = CudaVectorEnv(3, pasts=2, infos=("alarm",), **SETTINGS)
+    other = CudaVectorEnv(3, pasts=2, infos=["alarm"], **SETTINGS | {"knowledge": "blind+reported"})
     raises(RuntimeError, "call reset", env.step, torch.zeros(2, 1))
     first, info = env.reset(seed=1)
     assert (first.shape, first.dtype, info) == (env.observation_space.shape, torch.float32, {})
-    for elsewhere in (np.zeros((2, 1)), torch.zeros(2, 1, device="meta")):
-        raises(TypeError, "tensor on cpu, got one on", env.step, elsewhere)
+    raises(TypeError, "tensor on cpu, got ndarray", env.step, np.zeros((2, 1)))
+    raises(TypeError, "got one on meta", env.step, torch.zeros(2, 1, device="meta"))
     raises(ValueError, "shape", env.step, torch.zeros(3, 1))
     for number in (float("nan"), 1.5, float("-inf")):
         raises(ValueError, "NaN", env.step, torch.full((2, 1), number))
     raises(ValueError, "options", env.reset, options={"reset_mask": np.ones(2, dtype=np.bool_)})
     raises(ValueError, "same_step", CudaVectorEnv, 2, autoreset_mode="next_step", **SETTINGS)
     raises(ValueError, "info", CudaVectorEnv, 2, pasts=2, infos=("nothing",), **SETTINGS)
-    # two environments on one device leave each other alone, and a seed gives the same again
-    seen, reward, terminated, truncated, _ = env.step(torch.ones(2, 1))
-    other.reset(seed=9)
-    assert {*other.step(torch.zeros(3, 1))[4]} == {"alarm"}
-    assert torch.equal(env.reset(seed=1)[0], first)
-    again = env.step(torch.ones(2, 1))
-    assert torch.equal(again[0], seen)
-    assert torch.equal(again[1], reward)
+    alone = [*take_turns(env), *take_turns(other)]
+    assert all(map(torch.equal, alone, take_turns(env, other)))
+    _, reward, terminated, truncated, info = other.step(torch.ones(3, 1))
+    assert {*info} == {"alarm"}
     assert (reward.dtype, terminated.dtype, truncated.dtype) == (torch.float64, *[torch.bool] * 2)
     env._arrays["x"][1] = float("nan")
     env.step(torch.zeros(2, 1))

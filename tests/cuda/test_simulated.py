@@ -1,6 +1,5 @@
 """A device by numba's simulator: the bits of the processor, errors, and what is not there."""
 
-import itertools
 import json
 import os
 import subprocess
@@ -18,7 +17,8 @@ from spoofgym.cuda import supported
 ROOT = Path(__file__).resolve().parents[2]
 LINE = {"warmup_s": 2.0, "live_s": 2.0, "attack_s": 2.0, "time_to_alert_s": 1.0}
 FAST = {"timeline": LINE, "imu_rate_hz": 10}
-ORACLE = ["own-command", "time", "target-motion", "satellite-geometry", "gain-weight"]
+REPORT = {"name": "reported-position", "interval_s": 1.0, "latency_s": 3.0}
+ORACLE = ["own-command", "time", "target-motion", "satellite-geometry", "gain-weight", REPORT]
 S1 = TASKS["S1"].env_kwargs
 EVENTS = {"clock_step": 0.3, "satellite_loss": 0.3, "front": 0.3, "within_s": 2.0}
 SKIES = {**S1["domain"], "age_s": [4.0, 7.0], "worlds": 3, "turns": 2, "events": EVENTS}
@@ -31,7 +31,7 @@ def detector(name, **settings):
     return {"name": name, "thresholds": "nominal", **settings}
 
 
-PACE = {"decision_interval_s": 1.0, "between": "linear"}
+PACE = {"decision_interval_s": 1.0, "between": "linear", "knowledge": "oracle+reported"}
 LOUD = {"false_alarm": 0.02}  # so that some episodes end at an alarm
 DETECTORS = {
     "never": "never",
@@ -44,9 +44,9 @@ DETECTORS = {
 }
 ATTACKS = {
     "false position": {"target_heading_deg": "random", "observation": [*ORACLE, "statistic-ratio"]},
-    "per channel": {"attack": "per-channel"},
+    "per channel": {"attack": "per-channel", "target_heading_deg": "random"},
     "offsets": {"control": "rate", "basis": "rotated", "channels": "6 drawn", **PACE},
-    "subset": {"channels": "S0*", **PACE},
+    "subset": {"channels": "S0*", **PACE, "knowledge": "blind+reported"},
 }
 CASES = [
     {**world, "detector": each, **attack}
@@ -66,24 +66,20 @@ def run(module, *arguments, simulated):
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
-def simulate(cases):
-    return run("tests.cuda.in_simulator", json.dumps(cases), simulated=True)
-
-
 def test_receivers_have_the_bits_of_the_processor_and_bad_input_is_an_error():
     cases = [
         {**FAST, "detector": DETECTORS["ewma"], **ATTACKS["false position"]},
         {**FAST, "detector": DETECTORS["windowed-chi2"], **ATTACKS["offsets"]},
         {},
     ]
-    *played, refused = simulate(cases)
+    *played, refused = run("tests.cuda.in_simulator", json.dumps(cases), simulated=True)
     assert all(each["numbers"] > 1000 and each["resets"] > 0 for each in played)
     assert refused == {"refused": 1}
 
 
 @pytest.mark.nightly
 def test_worlds_detectors_and_attacks_have_the_bits_of_the_processor():
-    found = simulate(CASES)
+    found = run("tests.cuda.in_simulator", json.dumps(CASES), simulated=True)
     assert [each["resets"] > 0 for each in found] == [True] * len(CASES)
 
 
@@ -92,7 +88,8 @@ def test_kernels_are_compiled_for_three_architectures_without_contraction():
     pytest.importorskip("numba_cuda")
     kernels, wanted = ("pick", "take", "look", "play_step"), ("75", "80", "90")
     found = run("tests.cuda.ptx", *wanted, simulated=False)
-    assert {(x, y) for x, y, *_ in found} == {("age", "75"), *itertools.product(kernels, wanted)}
+    pairs = {("age", "75"), *((x, y) for x in kernels for y in wanted)}
+    assert {(x, y) for x, y, *_ in found} == pairs
     assert all(fused == 0 for *_, fused in found)
 
 
@@ -108,7 +105,7 @@ def test_kernels_are_compiled_for_three_architectures_without_contraction():
         ({"attack": "quiet"}, "errors of its own"),
         ({"twin": True, "watch": ["cusum"], "epoch": True}, "`watch`, `epoch`, `twin`"),
         ({"attack": {"name": "offsets", "capture": {}}}, "a capture"),
-        ({"knowledge": "oracle"}, "observation term EstimateError"),
+        ({"observation": ["divergence-spent"]}, "observation term DivergenceSpent"),
         ({"end": ["at-alarm", {"name": "at-steps", "steps": 2}]}, "`end`"),
     ],
 )
