@@ -59,7 +59,7 @@ class Settings:
     task: str = "S1"  # Task, S1 to S3 or T1 to T6, whose world it learns in.
     detector: str = "ewma"  # Detector, one that a device has: name:key=value or JSON.
     settings: str = "{}"  # Further settings of that world, as JSON.
-    knowledge: str = "blind"  # What it observes: blind, tracking or oracle.
+    knowledge: str = "blind"  # What it observes: blind, tracking or oracle; with +reported.
     device: str = "cuda"  # Where receivers and network are: cuda, cuda:1 or cpu.
     seeds: tuple[int, ...] = (0,)  # One training each: network, exploration, episodes.
     steps: int = 50_000_000  # Decisions of all receivers together, for each seed.
