@@ -163,13 +163,13 @@ def _table(world: dict[str, Any]) -> Table:
     rare = methodcaller("get", "rare")
     return Table(
         ("detector", "name"),
-        ("with an alarm (predicted)", _format_count),
+        ("runs with an alarm (predicted)", _format_count),
         ("per hour", lambda row: _rate(row["per_hour"])),
         (
-            "in the worst sky (by chance)",
+            "per hour in the worst sky (by chance)",
             lambda x: f"{_rate(x['worst_world_per_hour'])} ({_rate(x['worst_world_by_chance'])})",
         ),
-        (f"with an alarm at {RARE_RATE:g} an hour (predicted)", rare, _format_count),
+        (f"runs with an alarm at {RARE_RATE:g} an hour (predicted)", rare, _format_count),
         ("alarm before the attack [%]", lambda row: f"{100 * row['early'] / row['runs']:.2g}"),
     )
 
@@ -178,10 +178,10 @@ def _tabulate_task(world: dict[str, Any]) -> Table:
     return Table(
         ("detector", "name"),
         ("calibrated on", "calibrated", "{:,}".format),
-        ("with an alarm (predicted)", _format_count),
+        ("runs with an alarm (predicted)", _format_count),
         ("per hour", lambda row: interval(_find_hourly(row))),
         (
-            "at ages of 1 to 3, to 10, to 30, to 60 min",
+            "per hour at ages of 1 to 3, to 10, to 30, to 60 min",
             lambda row: ", ".join(_rate(each) for _, each in row["per_hour_by_age"]),
         ),
         ("alarm before the attack [%]", lambda row: f"{100 * row['early'] / row['runs']:.2g}"),

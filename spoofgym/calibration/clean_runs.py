@@ -95,7 +95,10 @@ def measuring(detector: Detector) -> tuple[Detector, float]:
     """Detector whose ratios are to be found, and what they are to be multiplied by. An alarm that
     is a state must not come, since what follows depends on it."""
     if isinstance(detector, Calibrated | PooledDetector):
-        raise TypeError(f"{type(detector).__name__} has no ratios of its own to be found")
+        raise TypeError(
+            f"{type(detector).__name__} has no ratios of its own: give the detector inside it, or "
+            "the members of the pool"
+        )
     if detector.alarm_is_state:
         never: Any = dataclasses.replace(detector, alarm_scale=UNREACHED)  # type: ignore[type-var]
         return never, UNREACHED

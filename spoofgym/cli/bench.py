@@ -85,7 +85,7 @@ def bench(
         min=0,
         max=opt.LARGEST_RUNS,
         help="Runs on which the worst attack of the suite is chosen. With 0 none is chosen, "
-        "and what it exceeds is left out.",
+        "and the columns of the worst attack are left out.",
     ),
     device: opt.Device = "cpu",
     threads: opt.Threads = None,

@@ -42,7 +42,7 @@ Threads = Annotated[
 Device = Annotated[
     str,
     Option(
-        help="Where runs are played of what there is on a device: cpu, or cuda, with the same bits."
+        help="Where runs are played: cpu, or cuda for all that a GPU can play, with the same bits."
     ),
 ]
 Processes = Annotated[
@@ -151,8 +151,8 @@ class WorldOptions:
     )
     tuning: str | None = Option(
         None,
-        help="Noise that the receiver assumes: as the papers print it (paper), or as the world has "
-        "it (matched).",
+        help="Noise that the receiver assumes: as the papers print it (paper), as the world has it "
+        "(matched), or that with states for lasting errors (augmented).",
     )
     attack: str | None = Option(None, help=f"What the spoofer can do. {SPEC_HELP}")
     track: Path | None = Option(
@@ -230,7 +230,7 @@ class SuiteOptions(WorldOptions):
     )
     false_alarms_per_hour: float | None = Option(
         None,
-        help="Rate of false alarms of all detectors that request no thresholds of their own; "
+        help="Rate of false alarms of all detectors whose settings give no rate or thresholds; "
         "calibrated here where that has not been done. Default: 0.2.",
     )
 

@@ -24,10 +24,10 @@ def warmup(
 ) -> None:
     """Compile for this machine what first episodes need, so that none of them waits for it.
 
-    Every environment plays an episode, single and vector, and so does one with all detectors. It
-    takes three to eight minutes of processor time. The compiled code is stored for all later
-    processes, until spoofgym or numba changes. After a warmup `bench` and
-    `limits` still compile for some 3 s, `demo` for less than 1 s.
+    Every environment plays an episode, single and vector; one of them is then played with all
+    detectors. It takes three to eight minutes of processor time. The compiled code is stored for
+    all later processes, until spoofgym or numba changes. After a warmup `bench` and `limits` still
+    compile for some 3 s, `demo` for less than 1 s.
     """
     import gymnasium as gym
 

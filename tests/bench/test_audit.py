@@ -162,12 +162,12 @@ FLOOR = {"half": {"value": 20.0}, "few": {"value": 30.0}}
         ),
         (
             audit_of(family("ramps", SPREAD), family("open-loop", SPREAD - 2.0)),
-            "the search failed: in half of the runs ramps get 2.0 (within 0.05) m farther",
+            "the search failed: what ramps exceed in half of the runs is 2.0 (within 0.05) m more",
         ),
         (
             audit_of(family("open-loop", SPREAD, SPREAD + 2.0)),
-            "the search failed: in half of the runs attacks that were found against other "
-            "detectors get 2.0 (within 0.05) m farther",
+            "the search failed: what attacks that were found against other detectors exceed in "
+            "half of the runs is 2.0 (within 0.05) m more",
         ),
         (audit_of(floor_m=FLOOR), "no attack gets beyond the 20.0 m that even a perfect detector"),
     ],

@@ -16,13 +16,13 @@ FINDINGS = """\
 - **M2's detection times are reproduced.**  All nine of Fig. 8 lie within 20 % or 1.5 s of the
   paper (medians of 50 runs), and so do ten of the twelve in the three-channel figures 6 and 7; the
   other two are 2 s shorter than the printed 9 s.
-- **The weights do what is claimed.**  Under the three-channel step the plain filter alarms on
-  the unspoofed channels 4 to 6 in every run.  With weights and without satellite biases none of
-  the unspoofed channels alarms, and the position error is a sixth.  With the constant biases of
-  the simulator 8 to 36 % of the runs alarm on channels 4 to 6; and under the three-channel ramp
-  channel 4 alarms in most runs, with or without biases.  The paper's 1 to 3 % is met only for
-  the step, and only without biases; and only there is the error below a quarter of the plain
-  filter's, with biases it is 0.3 to the north and 0.6 to the east.
+- **The weights do what is claimed.**  Under the three-channel step the plain filter alarms on the
+  unspoofed channels 4 to 6 in every run.  With weights and without satellite biases none of the
+  unspoofed channels alarms, and the position error is a sixth of the plain filter's.  With the
+  constant biases of the simulator 8 to 36 % of the runs alarm on channels 4 to 6; and under the
+  three-channel ramp channel 4 alarms in most runs, with or without biases.  The paper's 1 to 3 % is
+  met only for the step, and only without biases; and only there is the error below a quarter of the
+  plain filter's, with biases it is 0.3 to the north and 0.6 to the east.
 - **M3 and M4 are no detectors.**  They are given the channel, the size and the onset, and count
   the offset twice: M3 at 10 m is M2 at 20 m, and so on, in the paper's numbers and in ours.
   Told of an attack where nothing is spoofed, they alarm in all runs without biases.  With

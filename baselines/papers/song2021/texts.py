@@ -19,14 +19,15 @@ FINDINGS = """\
   more than the spread of single runs; a second program agrees with ours.
 - ACNA is not better than RIO against the jump (1.14 m and 1.39 m in the paper): both reject it at
   once and rest on the same dead reckoning, and the difference is chance.
-- The paper's result with both attacks (0.81 m, zeta 92.5 %) is not what its own flowchart gives.
-  Dead reckoning drifts by more than the threshold during the jump, GNSS is locked out for good in
-  most runs, and the median zeta is near 85 %. With an end of the exclusion (`production`: pending
-  fixes held back, a threshold of re-admission that widens with the outage, three passes) it is
-  about 94 %, and every run believes GNSS again.
+- The paper's result with both attacks (0.81 m, zeta 92.5 %) is not what its own flowchart gives;
+  zeta = 1 - gamma / (gamma of GNSS), gamma the sigma under attack over the clean one. Dead
+  reckoning drifts by more than the threshold during the jump, GNSS is locked out for good in most
+  runs, and the median zeta is near 85 %. With an end of the exclusion it is about 94 %
+  (`production`: fixes are held back while a jump is pending; a fix is accepted again after three in
+  a row within a threshold that widens with the outage), and every run believes GNSS again.
 - The jump is found at the first fix, not at the second: a single drift of 28 m lifts the mean of
   five above 1.28 m. The rule of two fixes then protects from nothing. `production` caps what a
-  drift adds to the mean, and takes the two fixes.
+  drift adds to the mean, so that it alarms at the second fix.
 - 100 % accuracy contradicts any latency. It is met only if an alarm counts for its whole window
   afterwards, and pending fixes are not used.
 - The paper's false-alarm rate is the rate of missed alarms, and the other way round. Ours are by
@@ -35,8 +36,8 @@ FINDINGS = """\
   alarm on a large part of the clean fixes.
 - Without an attack and with a heading that is off by 4 deg, 0.15 % of the fixes alarm in the
   literal detector, in rare runs for good, and 0.13 % in `production` (1000 runs of 300 s).
-- A drift slower than gain times threshold (0.2 m/s in all) is not seen for long: the filter
-  follows it.
+- A drift slower than gain times threshold (0.2 m/s, both axes together) raises no lasting alarm:
+  the filter follows it.
 """
 
 READINGS = """\
@@ -45,7 +46,7 @@ READINGS = """\
   151 s (51 s), and an alarm there is a latency of 1 s.
 - GNSS: a Gauss-Markov error of 1.0 m an axis and 60 s, and white noise of 0.2 m, chosen for the
   clean 0.59 m and 0.53 m.
-- Dead reckoning: a hard-iron error of the heading of 4 deg (2 and 6 deg for the shares of runs),
+- Dead reckoning: a hard-iron error of the heading of 4 deg (in the table *Runs* also 2 and 6 deg),
   the only source of drift; the paper names none. The corners have a radius of 0.3 m.
 - The paper's seven measurements (eq. 9): the east and north of dead reckoning enter as increments,
   the input of the prediction; its heading, with the hard-iron error, gives the direction of these;
@@ -56,7 +57,7 @@ READINGS = """\
 - Drift of GNSS: from the prediction of the filter. If dead reckoning ran free from the start, most
   clean fixes would alarm.
 - RIO: more than 16.5 m from free dead reckoning (chosen for the 26 s), latched until a fix comes
-  within 5 m of the estimate. This gives the equal rows of the paper's sets 3 and 4.
+  within 5 m of the estimate. This gives the equal rows of the paper's data sets 3 and 4.
 - Values of tables 3 to 5 are means over runs, those of tables 6 and 7 medians.
 - The error of the heading, the errors of GNSS, the gain and RIO's distance are calibrated, and so
   are the constants of `production`; all else follows.

@@ -23,14 +23,16 @@ position fixes; a search of all subsets does so in 90.1 % with 1361.
 """
 
 FINDINGS = """
-- Apart from table 3, these averages are reproduced: separation, seeds of the four search sets,
-  success, false and failed rates, and numbers of fixes of both methods.  Traversal RAIM is met row
-  by row, and does not depend on the sky.
+- Apart from table 3, these averages are reproduced: separation, how often the directions of the
+  search sets find five satellites of one kind (a seed), success, false and failed rates, and
+  numbers of fixes of both methods.  Traversal RAIM is met row by row, and does not depend on the
+  sky.
 - SRV-RAIM as printed is not what was run: with one pass of growth its false separations with one
   spoofed satellite are nearly twice the paper's.  With passes until nothing is added, they agree.
-- The separation of plain residuals (table 3) is within its wide band for NH = 0, but 2 and 3
-  hybrids are rarer than printed, and 5 or more commoner: they depend on the clock's part of the
-  displacement and on the sky, neither of which is printed.
+- A hybrid is an authentic satellite that lies among the spoofed ones along the best direction, or a
+  spoofed one among the authentic.  The share of cases without hybrids for plain residuals (table 3)
+  is within its wide band, but 2 and 3 hybrids are rarer than printed, and 5 or more commoner: they
+  depend on the clock's part of the displacement and on the sky, neither of which is printed.
 - SRV-RAIM needs 60 times fewer fixes, but not 60 times less time: sorting and failed searches are
   not counted as fixes, so that a call takes about a tenth of the time.  With 1 or 11 spoofed
   satellites, traversal is the faster one.

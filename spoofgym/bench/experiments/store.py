@@ -225,7 +225,9 @@ class Store:
     def _head(self, cell: Cell) -> dict[str, Any]:
         """What a cell's file is of."""
         if cell.identity is None:
-            raise ValueError(f"{cell.key!r} can't be written: no text says what it depends on")
+            raise ValueError(
+                f"{cell.key!r} can't be written: no `identity` says which code it depends on"
+            )
         return {
             "format": FORMAT,
             "experiment": self.config["experiment"],

@@ -161,7 +161,7 @@ DETECTOR_SCORES = Table(
 CARDS = Table(
     ("task", "task"),
     *DETECTOR_SCORES.columns,
-    ("minus the best classic, paired [% of runs]", "less_best", percent),
+    ("P(HMI) minus that of the best classic, paired [% of runs]", "less_best", percent),
 )
 
 

@@ -277,7 +277,9 @@ def specify_policy(
         spoofer = ModelPolicy(policy, label=label, **known)
     name = str(spoofer.label or type(spoofer).__name__)
     if isinstance(spoofer, Scaled) and amplitude is not None:
-        raise ValueError(f"{name} has the amplitude {spoofer.amplitude:g} already: give None")
+        raise ValueError(
+            f"{name} has the amplitude {spoofer.amplitude:g} already: give `amplitude=None`"
+        )
     if not fits and amplitude is not None:
         spoofer = Scaled(spoofer, float(amplitude))
     tuned = AMPLITUDE if fits and spoofer.transmits else None

@@ -243,9 +243,9 @@ class Audit:
                 less = compare_exceeded(other, parts[True], SHARES[0])
                 if less.low > BEHIND * every.score_worst(Aim(MEASURES[0], SHARES[0])):
                     yield (
-                        f"the search failed: in half of the runs {name} get {less} m farther than "
-                        f"{SEARCHED}, which was searched for against this detector: distrust "
-                        f"{SEARCHED}"
+                        f"the search failed: what {name} exceed in half of the runs is {less} m "
+                        f"more than {SEARCHED} exceeds, which was searched for against this "
+                        f"detector: distrust {SEARCHED}"
                     )
         floor = self.floor_m and self.floor_m["half"]["value"]
         found = self.figures["exceeded_m"][f"{SHARES[0]:g}"]

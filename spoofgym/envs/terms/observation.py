@@ -128,7 +128,7 @@ class OwnCommand(_Term):
 
 @settings_record(frozen=True)
 class OwnOffsets(_Term):
-    """Commanded offsets and rates; 1 is the rate of an action of 1, and what it adds up to.
+    """Commanded offsets and rates; 1 is what an action of 1 for the whole attack reaches.
 
     Where skies differ between episodes, it also has whether an action of each axis counts, and
     where the captured satellites do, which channels are captured.
