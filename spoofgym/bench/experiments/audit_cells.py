@@ -49,7 +49,7 @@ SIFTED = 4
 """Part of the selection that sifts, as one in so many."""
 ENTROPY = "entropy"
 """File of a folder: the entropy that was drawn for its runs."""
-SEARCH_PLAYS = 4000.0
+SEARCH_PLAYS = 12000.0
 """Runs that take about as long as a search for profiles."""
 FLOOR_PLAYS = 500.0
 """Runs that take about as long as a world of the floor."""
