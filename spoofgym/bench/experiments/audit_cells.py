@@ -334,6 +334,7 @@ class AuditCells(Experiment):
 
     def conclude(self, results: Reader) -> Audit:
         """Audit of the first detector; the worst attacks are written beside its results."""
+        self.of.worlds.release()
         parts = {part: key for key, (_, part, _) in self.parts.items() if isinstance(part, str)}
         limits = results[parts[FLOOR]].record if FLOOR in parts else self.card
         first, size = self.detectors[0], self.of.size

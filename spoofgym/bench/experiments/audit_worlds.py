@@ -202,6 +202,11 @@ class Worlds:
             release_free_memory()  # of the warm-up
         return self._panels[key]
 
+    def release(self) -> None:
+        """Let go of all runs at their onsets."""
+        self._panels.clear()
+        release_free_memory()
+
     def start_at_ages(
         self,
         judge: Detector,
