@@ -49,7 +49,7 @@ SIFTED = 4
 """Part of the selection that sifts, as one in so many."""
 ENTROPY = "entropy"
 """File of a folder: the entropy that was drawn for its runs."""
-SEARCH_PLAYS = 4000.0
+SEARCH_PLAYS = 12000.0
 """Runs that take about as long as a search for profiles."""
 FLOOR_PLAYS = 500.0
 """Runs that take about as long as a world of the floor."""
@@ -334,6 +334,7 @@ class AuditCells(Experiment):
 
     def conclude(self, results: Reader) -> Audit:
         """Audit of the first detector; the worst attacks are written beside its results."""
+        self.of.worlds.release()
         parts = {part: key for key, (_, part, _) in self.parts.items() if isinstance(part, str)}
         limits = results[parts[FLOOR]].record if FLOOR in parts else self.card
         first, size = self.detectors[0], self.of.size

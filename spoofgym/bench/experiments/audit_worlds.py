@@ -78,8 +78,8 @@ SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
 """Profiles of the letter c."""
 TRAINED = AttackFamily("shipped", "spoofers of the package, trained against it beforehand", "s")
 """Family of an audit alone, where there are some, and not of a task's score."""
-CACHED_PANELS, CACHED_BYTES = 24, 2e8
-"""Panels that are held in memory, and what their detectors may remember: the last ones used."""
+CACHED_BYTES = 2e8
+"""What detectors may remember of the panels that are held in memory: the last ones used."""
 NEAR_ALARM = "chance-alarm"
 """Onset of which every detector has its own runs."""
 TIMED, TIMED_EPOCHS = 64, 40
@@ -177,14 +177,17 @@ class Worlds:
         """Runs of a split at their onsets, for detectors that share them, in an altered world."""
         # two files may have one label; a panel keeps its judges, and so their ids
         judged = tuple(id(each.judge) for each in group)
-        key = compute_digest(describe({"of": overrides, "onset": onset})), judged, split, runs
+        where, plain = (
+            compute_digest(describe({"of": changed, "onset": when}))
+            for changed, when in ((overrides, onset), ({}, None))
+        )
+        key = where, judged, split, runs
         if key in self._panels:  # families in the same world share theirs
             self._panels[key] = self._panels.pop(key)
         else:
-            while self._panels and (
-                len(self._panels) >= CACHED_PANELS
-                or sum(each.nbytes for each in self._panels.values()) > CACHED_BYTES
-            ):
+            for other in [x for x in self._panels if x[0] not in (where, plain)]:
+                del self._panels[other]  # of a family that is finished
+            while sum(each.nbytes for each in self._panels.values()) > CACHED_BYTES:
                 del self._panels[next(iter(self._panels))]
             setup, judges = self.setup(**overrides), [each.judge for each in group]
             near = onset == NEAR_ALARM
@@ -198,6 +201,11 @@ class Worlds:
             )
             release_free_memory()  # of the warm-up
         return self._panels[key]
+
+    def release(self) -> None:
+        """Let go of all runs at their onsets."""
+        self._panels.clear()
+        release_free_memory()
 
     def start_at_ages(
         self,

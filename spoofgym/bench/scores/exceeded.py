@@ -28,7 +28,15 @@ from itertools import groupby, pairwise
 import numpy as np
 
 from ..runs.record import Aim, Mask, Protection, Winner
-from .statistics import NOTHING, Estimate, FloatArray, bound_above, largest_of_share, percentiles
+from .statistics import (
+    NOTHING,
+    Estimate,
+    FloatArray,
+    bound_above,
+    largest_of_share,
+    map_samples,
+    percentiles,
+)
 
 PARTS = np.arange(1, 8) / 8.0  # of the way between two values of a setting
 Between = tuple[FloatArray, FloatArray, float]
@@ -84,9 +92,14 @@ def _draw_between(between: Between, aim: Aim, samples: FloatArray, least: float)
     """(S,) what is exceeded there, and `least` where that is more."""
     near, far, part = between
     x, y = near > least, far > least
-    weights = [(1.0 - part) * samples[:, x], part * samples[:, y]]
-    rest = samples.sum(axis=1) - sum(each.sum(axis=1) for each in weights)
-    return _draw(np.concatenate([near[x], far[y], [least]]), aim, np.column_stack([*weights, rest]))
+
+    def find(some: FloatArray) -> FloatArray:
+        weights = [(1.0 - part) * some[:, x], part * some[:, y]]
+        rest = some.sum(axis=1) - sum(each.sum(axis=1) for each in weights)
+        moved = np.concatenate([near[x], far[y], [least]])
+        return _draw(moved, aim, np.column_stack([*weights, rest]))
+
+    return map_samples(find, samples)
 
 
 def _list_between(

@@ -17,7 +17,7 @@ where :math:`\bar p \le b`, so that other runs, most likely, keep it too.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -28,6 +28,7 @@ from scipy import special, stats
 FloatArray = NDArray[np.float64]
 CONFIDENCE = 0.95
 RESAMPLES = 2000
+AT_ONCE = 256  # bootstrap samples whose runs are sorted and summed up together
 
 
 class Estimate(NamedTuple):
@@ -187,9 +188,19 @@ def largest_of_share(values: ArrayLike, share: float, samples: FloatArray) -> Fl
     """(S,) largest value of (R,) that at least a share of the runs reach, in bootstraps (S, R)."""
     x = np.asarray(values, dtype=np.float64)
     order = np.argsort(-x, kind="stable")
-    reached = np.cumsum(samples[:, order], axis=1)
-    needed = np.maximum(np.ceil(share * reached[:, -1] - 1e-9), 1.0)
-    return np.asarray(x[order][np.argmax(reached >= needed[:, None], axis=1)])
+
+    def find(part: FloatArray) -> FloatArray:
+        reached = np.cumsum(part[:, order], axis=1)
+        needed = np.maximum(np.ceil(share * reached[:, -1] - 1e-9), 1.0)
+        return np.asarray(x[order][np.argmax(reached >= needed[:, None], axis=1)])
+
+    return map_samples(find, samples)
+
+
+def map_samples(function: Callable[[FloatArray], FloatArray], samples: FloatArray) -> FloatArray:
+    """What a function makes of bootstrap samples (S, R), each by itself, some at a time: (S,)."""
+    parts = np.array_split(samples, max(math.ceil(len(samples) / AT_ONCE), 1))
+    return np.concatenate([function(part) for part in parts])
 
 
 def weighted_quantile(values: ArrayLike, share: float, samples: FloatArray) -> FloatArray:
