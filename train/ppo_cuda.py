@@ -39,6 +39,7 @@ from agents.folder import Part, Records, error_lines, json_object, learning_vers
 from agents.learning import for_learning, run_training
 from spoofgym.bench.experiments.evaluate import Evaluator
 from spoofgym.bench.report.table import Table, interval
+from spoofgym.bench.runs.world import WORLD, World
 from spoofgym.core.progress import ProgressBar
 from spoofgym.core.registry import check_choice, parse_spec, whole_number
 from spoofgym.envs import SpoofVectorEnv
@@ -82,12 +83,20 @@ class Settings:
         check_choice("device", self.device.partition(":")[0], ("cuda", "cpu"))
         for name in ("steps", "num_envs", "pasts", "stages", "minibatches", "n_epochs"):
             whole_number(f"`{name}`", getattr(self, name), 1)
-        _ = self.world  # or a message about `settings`
+        named = {name: x for name, x in self.judged.items() if name != "detector"}
+        World.of(**named)  # or a message about `settings`
 
     @property
     def world(self) -> dict[str, Any]:
         own = json_object("settings", self.settings)
         return {**get_task(self.task).world_kwargs, "detector": parse_spec(self.detector), **own}
+
+    @property
+    def judged(self) -> dict[str, Any]:
+        """The same, as `Evaluator` takes it."""
+        further = self.world
+        named = {name: further.pop(name) for name in ("detector", *WORLD) if name in further}
+        return {**named, "settings": further}
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
@@ -360,7 +369,7 @@ def train(settings: Settings, seed: int, tick: Callable[[float], None]) -> dict[
 def play(settings: Settings, progress: ProgressBar | None = None) -> dict[str, Any]:
     """Train and score what is missing; the results, JSON-able."""
     sizes: dict[str, Any] = {"runs": settings.runs, "fit_runs": settings.fit_runs}
-    judge = cache(lambda: Evaluator(**sizes, **settings.world))
+    judge = cache(lambda: Evaluator(**sizes, **settings.judged))
 
     def score(row: dict[str, Any]) -> Any:
         if row["file"] is None:

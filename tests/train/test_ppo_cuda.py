@@ -75,7 +75,7 @@ def test_the_learner_solves_a_problem_of_tensors_and_goes_on_from_its_tensors(tm
 
 @pytest.fixture
 def settings(tmp_path):
-    own = json.dumps({"scenario": "zhong2025", **WORLD})
+    own = json.dumps({"scenario": "zhong2025", "imu_rate_hz": 50.0, **WORLD})
     met = json.dumps({"name": "snapshot-chi2", "thresholds": "nominal"})
     quick = {"num_envs": 4, "steps": 160, "stages": 2, "minibatches": 2, "n_epochs": 1}
     sizes = {"fit_runs": 80, "runs": 4}
@@ -143,6 +143,7 @@ def test_the_engine_in_tensors_is_the_vector_environment(settings):
         ({"knowledge": "all"}, "unknown knowledge 'all'"),
         ({"stages": 0}, "`stages`"),
         ({"settings": "{"}, "`settings`"),
+        ({"settings": '{"imu_rate": 50.0}'}, "has no setting 'imu_rate'"),
     ],
 )
 def test_bad_input_is_refused(tmp_path, changes, message):
