@@ -14,6 +14,8 @@ import shlex
 import subprocess
 import sys
 import tempfile
+import time
+import timeit
 import tomllib
 from pathlib import Path
 from statistics import median
@@ -25,6 +27,8 @@ from spoofgym.core.registry import check_choice
 from spoofgym.detectors.calibration_file import FOLDER_VARIABLE
 from tools.pages import DOCS, ROOT, fit_tables, marks, put_between
 
+LOOP = "for k in range(20_000_000): k += 1"
+"""What says how fast a machine is."""
 PAGE, DATA_FILE = DOCS / "costs.md", DOCS / "costs.json"
 COMMANDS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text())
 
@@ -51,9 +55,11 @@ def play(words: list[str], folder: str) -> tuple[dict[str, Any], list[str]]:
 
 
 def measure(command: str) -> dict[str, Any]:
-    """What a command with no results of its own takes."""
+    """What a command with no results of its own takes, and the time of `LOOP` beside it."""
     with tempfile.TemporaryDirectory() as out:
-        return play(["-m", "spoofgym", *shlex.split(command.format(out=out))], out)[0]
+        loop_s = timeit.timeit(LOOP, number=1, timer=time.process_time)
+        took = play(["-m", "spoofgym", *shlex.split(command.format(out=out))], out)[0]
+        return {**took, "loop_s": round(loop_s, 1)}
 
 
 def read_processor() -> str:
@@ -74,11 +80,12 @@ def read_stored() -> list[tuple[str, str]]:
 def build_tables(kept: dict[str, Any]) -> str:
     rows = []
     for name, command in COMMANDS.items():
-        cpu_s, memory_mb = kept["rows"].get(name, {"cpu_s": None, "memory_mb": "-"}).values()
+        took = {"cpu_s": None, "memory_mb": "-", "loop_s": "-", **kept["rows"].get(name, {})}
+        cpu_s, *rest = took.values()
         minutes = "not measured" if cpu_s is None else f"{cpu_s / 60.0:.1f}"
         shown = f"`spoofgym {re.sub(' --out {out}.*|{out}/', '', command)}`"
-        rows.append((name, shown, minutes, str(memory_mb)))
-    head = "row", "command", "CPU [min]", "largest process [MB]"
+        rows.append((name, shown, minutes, *map(str, rest)))
+    head = "row", "command", "CPU [min]", "largest process [MB]", "loop [s]"
     measured = fit_tables(Table.of_texts(*head).markdown(rows) + "\n").rstrip()
     stored = Table.of_texts("computed by", "on the clock [min]").markdown(read_stored())
     second = "On the clock, when the stored results were computed, on the machine of that day:"
