@@ -73,6 +73,7 @@ def shown(world: dict[str, Any], learned: dict[str, Any]) -> str:
     values["gains"] = [_describe_gain(x, learned) for x in SHOWN if x in policies]
     values["counted"] = _count_false_alarms()
     values["audited"] = _find_audited()
+    values["best"] = interval(headline(protections[next(iter(SHOWN))], 0.5))
     values["charted"] = world["calibrations"]["ewma"][0]["runs"]
     ramps = cells["never", "ramp"], cells[names[next(iter(SHOWN))], "ramp"]
     values["whole"], values["ramp"] = (metres(x["stealthy_displacement_m"]["value"]) for x in ramps)

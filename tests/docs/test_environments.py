@@ -7,6 +7,8 @@ import pytest
 
 from spoofgym.truth.sensors import IMU_GRADES
 from tools.environments_page import IDS, build_detector_page, build_spoofer_page, format_bounds
+from tools.interface_page import PARTS, build_table
+from tools.pages import marks, part_between
 
 from ..nightly import heavy
 from .pages import text_of
@@ -41,3 +43,11 @@ def test_the_grades_of_sensors_have_their_figures():
         noise = grade.accel_noise_ug_per_rthz, grade.gyro_noise_deg_per_rth
         cells = " | ".join(f"{x:.6g}" for x in (*biases, *noise))
         assert f"| `{name}` | {cells} |\n" in text_of("worlds.md")
+
+
+def test_what_a_detector_gets_is_what_its_docstrings_say():
+    page = text_of("detector_interface.md")
+    for name, (kind, chosen) in PARTS.items():
+        table = build_table(kind, chosen)
+        assert part_between(page, *marks(name)).strip() == table.strip()
+        assert chosen or set(re.findall(r"`(\w+)`", table)) >= set(kind._fields)
