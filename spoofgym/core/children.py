@@ -87,11 +87,13 @@ def adopt_orphans() -> None:
 
 
 def list_children(process: int) -> list[int]:
-    """Numbers of the processes that one has started or adopted; none where no /proc says them."""
+    """Numbers of the processes that one has started or adopted; none where no /proc says them, or
+    once it has ended."""
     found: list[int] = []
-    for path in Path(f"/proc/{process}/task").glob("*/children"):
-        with suppress(OSError):
-            found += map(int, path.read_text().split())
+    with suppress(OSError):  # it may end, or a thread of it, while it is looked at
+        for task in os.listdir(f"/proc/{process}/task"):
+            with suppress(OSError):
+                found += map(int, Path(f"/proc/{process}/task/{task}/children").read_text().split())
     return found
 
 

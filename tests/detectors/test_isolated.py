@@ -292,3 +292,23 @@ def test_a_detector_that_cannot_be_loaded_says_why():
     words = "no_such_module:Guard, when loaded, raises .* there is no module 'no_such_module'"
     with pytest.raises(IsolationError, match=words):
         Isolated("no_such_module:Guard")
+
+
+ENDING_CHILDREN = """
+import os, threading, time
+from spoofgym.core.children import list_children
+for k in range(200):
+    if (child := os.fork()) == 0:
+        time.sleep(0.001)
+        os._exit(0)
+    reaper = threading.Thread(target=os.waitpid, args=(child, 0))
+    reaper.start()
+    while reaper.is_alive():
+        assert list_children(child) == []
+    reaper.join()
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc is of Linux")
+def test_a_process_may_end_while_its_children_are_listed():
+    subprocess.run([sys.executable, "-c", ENDING_CHILDREN], check=True)
