@@ -92,11 +92,11 @@ def _draw_between(between: Between, aim: Aim, samples: FloatArray, least: float)
     """(S,) what is exceeded there, and `least` where that is more."""
     near, far, part = between
     x, y = near > least, far > least
+    moved = np.concatenate([near[x], far[y], [least]])
 
     def find(some: FloatArray) -> FloatArray:
         weights = [(1.0 - part) * some[:, x], part * some[:, y]]
         rest = some.sum(axis=1) - sum(each.sum(axis=1) for each in weights)
-        moved = np.concatenate([near[x], far[y], [least]])
         return _draw(moved, aim, np.column_stack([*weights, rest]))
 
     return map_samples(find, samples)
