@@ -118,7 +118,7 @@ class CudaVectorEnv(HasSpec, VectorEnv[Any, Any, Any]):
             "undetected": np.zeros(b),
         }
         self._arrays = pasts.resize(b) | Tensors(torch, own, device)
-        shared = {
+        shared: Arrays = {
             "largest": np.zeros((setup.steps + 1, b)),
             **dict.fromkeys(("values", "sums"), np.zeros((rows, b))),
             "marks": np.zeros((MARKS, b), dtype=np.bool_),
