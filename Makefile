@@ -61,10 +61,11 @@ test-ray: $(VENV_RAY)/.installed ## test RLlib, Minari and the oldest Gymnasium,
 	$(VENV_RAY)/bin/python -m pytest $(tests_ray) $(ARGS)
 	$(VENV_RAY)/bin/python -m pytest tests/bench/experiments/test_runner.py --nightly -k ray
 
+# A fixed hash seed: without one, what types mypy joins differs from run to run.
 check: $(VENV)/.installed-check ## format, lint, types, import directions, docstrings, spelling
 	$(python) -m ruff format --check .
 	$(python) -m ruff check .
-	$(python) -m mypy
+	PYTHONHASHSEED=0 $(python) -m mypy
 	$(VENV)/bin/lint-imports
 	find spoofgym -name '*.py' -exec $(python) -m numpydoc lint {} +
 	$(VENV)/bin/codespell
