@@ -228,7 +228,7 @@ def page_text(paper: Paper, stored: dict[str, Any]) -> str:
         f"python -m baselines.papers {key}{seed}",
         "```",
         "",
-        f"Seed {stored['seed']}, {stored['runs']} simulated runs in {stored['parts']} parts{time}; "
+        f"Random seed {stored['seed']}, {stored['runs']} simulated runs in {stored['parts']} parts{time}; "
         f"{computed}.",
     ]
     return "\n".join(lines) + "\n"

@@ -23,10 +23,10 @@ position fixes; a search of all subsets does so in 90.1 % with 1361.
 """
 
 FINDINGS = """
-- Apart from table 3, these averages are reproduced: separation, how often the directions of the
-  search sets find five satellites of one kind (a seed), success, false and failed rates, and
-  numbers of fixes of both methods.  Traversal RAIM is met row by row, and does not depend on the
-  sky.
+- Apart from table 3, these averages are reproduced: separation, how often a search set finds a seed
+  (the five satellites that lie farthest along one direction are all spoofed, or all authentic; the
+  search grows from them), success, false and failed rates, and numbers of fixes of both methods.
+  Traversal RAIM is met row by row, and does not depend on the sky.
 - SRV-RAIM as printed is not what was run: with one pass of growth its false separations with one
   spoofed satellite are nearly twice the paper's.  With passes until nothing is added, they agree.
 - A hybrid is an authentic satellite that lies among the spoofed ones along the best direction, or a
