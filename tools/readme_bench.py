@@ -42,8 +42,10 @@ SHOWN = {
     "never": "none",
 }
 """Rows of the README, of all that are played, by their titles there."""
-SPOOFERS = {"ramp": "ramp", "open-loop": "open-loop, searched", "feedback": "feedback"}
+SPOOFERS = {"ramp": "ramp", "open-loop": "searched open-loop", "feedback": "feedback"}
 """Whose stealthy displacements are shown, and their headings."""
+STEALTHY = ": mean at 5 % of alarms [m]"
+WORST = "worst attack: exceeded in half of the runs [m]"
 OVER = "*"
 
 
@@ -58,16 +60,16 @@ def shown(world: dict[str, Any], learned: dict[str, Any]) -> str:
     names = {label(row["detector"]): row["detector"] for row in world["detectors"]}
     policies = choose_policies(learned)
     reach: Any = lambda each: interval(each["score"][MEASURES[0]])  # noqa: E731
-    learned_column = ("learned [m]", policies.get, reach)
+    learned_column = ("learned" + STEALTHY, policies.get, reach)
     table = Table(
         ("detector", lambda short: SHOWN[short]),
         *(
-            (f"{title} [m]", lambda short, x=x: cells[names[short], x], _format_displacement)
+            (title + STEALTHY, lambda short, x=x: cells[names[short], x], _format_displacement)
             for x, title in SPOOFERS.items()
             if not (policies and x == "feedback")
         ),
         *([learned_column] if policies else []),
-        ("worst in half of the runs [m]", lambda x: headline(protections[x], 0.5), interval),
+        (WORST, lambda x: headline(protections[x], 0.5), interval),
     )
     values = {"table": table.markdown(SHOWN), "over": OVER, "policies": policies}
     values["gains"] = [_describe_gain(x, learned) for x in SHOWN if x in policies]
