@@ -228,8 +228,8 @@ def page_text(paper: Paper, stored: dict[str, Any]) -> str:
         f"python -m baselines.papers {key}{seed}",
         "```",
         "",
-        f"Random seed {stored['seed']}, {stored['runs']} simulated runs in {stored['parts']} parts{time}; "
-        f"{computed}.",
+        f"Random seed {stored['seed']}, {stored['runs']} simulated runs in {stored['parts']} parts"
+        f"{time}; {computed}.",
     ]
     return "\n".join(lines) + "\n"
 
