@@ -33,6 +33,13 @@ help: ## list the targets
 
 venv: $(VENV)/.installed-bench ## create the virtual environment with what the benchmark needs
 
+# Where no bytecode may be written beside sources, the environment holds it: each process would
+# compile every module again.
+ifdef PYTHONDONTWRITEBYTECODE
+bench: export PYTHONDONTWRITEBYTECODE :=
+bench: export PYTHONPYCACHEPREFIX := $(abspath $(VENV)/bytecode)
+endif
+
 bench: $(VENV)/.installed-bench ## play a part of the standard suite by a quick budget, and write its report
 	$(VENV)/bin/spoofgym bench --budget quick \
 		$(bench_detectors) $(ARGS)
