@@ -70,8 +70,8 @@ def test_every_block_of_code_runs_and_each_goes_on_from_the_one_before(
 def test_it_is_short_and_its_figures_are_those_of_the_stored_results(full):
     assert len(README.splitlines()) <= 120
     (row,) = re.findall(r"\| D1 \| solution-sep.*augmented.*", text_of("submit.md"))
-    audited = float(row.split("|")[4].split()[0])
-    assert f"with its own filter, allows {audited:.0f} m" in README
+    audited, ends = row.split("|")[4].split(",")[0].split(maxsplit=1)
+    assert f"with its own filter, allows {float(audited):.0f} m {ends}" in README
     assert f"in {read_hazard(text_of('detector_tasks.md'))} % of the runs (P(HMI), 200" in README
     best = headline(full["protection"][2], 0.5)["value"]
     assert best == min(headline(row, 0.5)["value"] for row in full["protection"])
