@@ -25,6 +25,7 @@ from spoofgym.bench.report.table import Table, interval, metres
 from spoofgym.bench.report.tasks import stored_detector_cards
 from spoofgym.bench.runs.record import MEASURES
 from spoofgym.bench.scores.campaign import HALF, headline
+from spoofgym.tasks import get_task
 from tools.headlines import DATA_FILE as FULL
 from tools.headlines import WORLD
 from tools.pages import DOCS, ROOT, put_between, render_page
@@ -33,9 +34,10 @@ README, SHARED, DRAWN = ROOT / "README.md", DOCS / "bench.json", DOCS / "campaig
 START, END = "<!-- bench:start -->", "<!-- bench:end -->"
 LEARNED = DOCS / "learned.json"
 HOLDOUTS = DOCS / "holdouts.json"
+COSTS = DOCS / "costs.json"
 SHOWN = {
     "solution-separation(filter=augmented,spacing=geometric)": "solution separation, own filter",
-    "solution-separation(spacing=geometric)": "solution separation, same filter",
+    "solution-separation(spacing=geometric)": "solution separation, victim's filter",
     "cumulative-bank(signals=range_rate)": "cumulative bank",
     "snapshot-chi2": "snapshot chi-square",
     "ewma": "EWMA chart",
@@ -76,6 +78,9 @@ def shown(world: dict[str, Any], learned: dict[str, Any]) -> str:
     values["counted"] = _count_false_alarms()
     values["audited"] = _find_audited()
     values["best"] = interval(headline(protections[next(iter(SHOWN))], 0.5))
+    cost = json.loads(COSTS.read_text())["rows"]["bench, standard"]
+    values["minutes"] = round(cost["cpu_s"] / 60)
+    values["covers_s"] = get_task(WORLD).detectors[0]["longest_s"]
     values["charted"] = world["calibrations"]["ewma"][0]["runs"]
     ramps = cells["never", "ramp"], cells[names[next(iter(SHOWN))], "ramp"]
     values["whole"], values["ramp"] = (metres(x["stealthy_displacement_m"]["value"]) for x in ramps)

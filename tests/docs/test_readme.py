@@ -177,8 +177,8 @@ def test_the_wrappers_have_the_figures_that_they_printed(kept):
     assert f"lets {moved} m pass undetected {ends}" in README
     assert float(chi2[4]) == 0.0
     assert f"`snapshot-chi2` misses none (0 to {100.0 * float(chi2[6]):.0f} %)" in README
-    rates = (f"{x[1]}{unit} ({x[2]} to {x[3]})" for x, unit in ((ewma, " an hour"), (chi2, "")))
-    assert f"False alarms are {' and '.join(rates)}" in README
+    rates = (f"`{x[0]}` {x[1]} ({x[2]} to {x[3]})" for x in (ewma, chi2))
+    assert f"False alarms an hour: {', '.join(rates)}" in README
 
 
 def test_the_demo_is_the_attack_of_the_animation(kept):
