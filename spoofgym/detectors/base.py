@@ -85,16 +85,16 @@ class DetectorContext(NamedTuple):
     satellite_ids : tuple of str
         (n,) id of each slot, ``""`` for an empty one.
     single_epoch_sd : ndarray or None
-        (m,) what the filter assumes of the errors of one epoch alone [m], [m/s]; None for the root
-        of `noise_variance`.  A filter without states for lasting errors takes them for more noise
-        than an epoch has, which a test of single epochs must not.
+        (m,) standard deviations of the errors of one epoch alone, as the filter assumes them [m],
+        [m/s]; None for the root of `noise_variance`.  A filter without states for lasting errors
+        assumes more noise than one epoch has: a test of single epochs takes these instead.
     states : int
         Error states of a tightly coupled filter, s of the fields of an epoch.
     min_satellites : int
         Fewest satellites with which a tightly coupled filter updates; with fewer it coasts.
     inertial_states : int
         How many of `states` are of navigation, clock and inertial sensors.  The others are errors
-        of signals, which move no other state.
+        of signals; in `transition` they act on no other state.
     model : FilterModel or None
         What the designer of a receiver knows of the errors that he assumes, for a filter beside the
         victim's (`own_filter`): that of a tightly coupled receiver whose worlds have the same
@@ -163,8 +163,8 @@ class Detector(ABC):
         Epochs after a reset in which it can't alarm, since a window is not full; set by `bind`, as
         `check_detector` says.
     memory_epochs : int
-        Epochs after which it no longer matters when it went live, as of its longest window; set by
-        `bind`, 0 where there is no such time.
+        Epochs after which it no longer matters when it went live: the length of its longest
+        window, set by `bind`; 0 without one.
     memory : Memory
         What it remembers of every receiver.
     judged_rows : ndarray or None

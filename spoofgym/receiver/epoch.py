@@ -211,16 +211,17 @@ class Epoch(NamedTuple):
     predicted_cov : ndarray or None
         (B, s, s) P before the update, of the s errors x of the prediction.  A tightly coupled
         receiver has 17, and after them those of `receiver.augmented` where it is tuned so: attitude
-        [rad], velocity [m/s], position [m] (ECEF axes, estimate minus truth), biases of
-        accelerometers [m/s^2] and gyros [rad/s] (body axes), clock bias [m] and drift [m/s]: note
-        the opposite sign, truth minus estimate.
+        [rad], velocity [m/s], position [m] (ECEF axes), all three estimate minus truth; biases of
+        accelerometers [m/s^2] and gyros [rad/s] (body axes), clock bias [m] and drift [m/s], all
+        four truth minus estimate.
     design : ndarray or None
         (B, m, s) H, by which these errors shift the innovation: z = H x + noise.
     transition : ndarray or None
         (B, s, s) Phi, by which they grow from the last update to this prediction: x(k, predicted) =
         Phi x(k - 1, updated) + noise.
     imu_delta : ndarray or None
-        (B, 6) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval, body axes.
+        (B, 6) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval, body axes:
+        forward, right, down.
     pseudorange, range_rate : ndarray or None
         (B, n) as measured [m], [m/s].
     satellite_position, satellite_velocity : ndarray or None
