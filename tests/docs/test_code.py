@@ -60,6 +60,14 @@ def test_the_code_of_a_page_runs(page, needed, played):
     played(page, *needed)
 
 
+def test_the_code_on_worlds_plays_in_one_with_numbers_of_its_own(played):
+    smaller = [("runs=2000", "runs=113"), (r'evaluate\("ramp", ', 'evaluate("ramp", runs=40, ')]
+    code, (printed,) = played("worlds.md", smaller=smaller)
+    assert code.mine.receiver.noise_model == code.assumed
+    assert code.mine.scenario.gnss_errors == code.errors
+    assert printed.startswith("ramp(tuned) (blind, rate_mps ")
+
+
 def test_the_code_on_own_data_and_on_learning_prints_what_the_pages_say(played):
     _, printed = played("own_data.md")
     assert f"It prints `{printed[0]}`" in text_of("own_data.md")
