@@ -130,8 +130,8 @@ class AgeProbe(NamedTuple):
         yield (
             f"{words}: it finds {100.0 * shares[best]:.0f} % of the test ramps when they begin "
             f"{format_age(self.age_s[best])} after switch-on, {100.0 * shares[k]:.0f} % after "
-            f"{format_age(self.age_s[k])}: {percent(more.as_json(), 0)} percentage points less "
-            "in the same runs"
+            f"{format_age(self.age_s[k])}: a difference of {percent(more.as_json(), 0)} percentage "
+            "points in the same runs"
         )
 
     def as_dict(self) -> dict[str, Any]:
