@@ -1,7 +1,9 @@
 """The notebooks of docs/tutorials run, and hold what they printed."""
 
 import json
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -30,6 +32,7 @@ def test_a_notebook_was_run_from_top_to_bottom_without_a_warning(path):
 def test_a_notebook_runs_as_it_stands(path, monkeypatch):
     pytest.importorskip(NEEDED.get(path.stem, "numpy"))
     monkeypatch.setenv("MPLBACKEND", "agg")
-    names: dict[str, object] = {"__name__": "notebook"}
+    notebook = ModuleType("notebook")  # its classes are found by their module, as in a notebook
+    monkeypatch.setitem(sys.modules, notebook.__name__, notebook)
     for cell in read_cells(path):
-        exec(compile("".join(cell["source"]), path.name, "exec"), names)
+        exec(compile("".join(cell["source"]), path.name, "exec"), vars(notebook))
