@@ -22,7 +22,7 @@ from tests.bench.detector_support import small_task
 from tests.command_line import call, read
 from tests.detectors.learned.files import edit_card, write_guard
 from tests.nightly import heavy
-from tools.detector_cards import END, PAGE, START, shown, with_others
+from tools.detector_cards import END, PAGE, START, list_unscored, shown, with_others
 from tools.pages import part_between
 
 WORLDS = {"D1": "S1", "D2": "S2", "D3": "S3"}
@@ -141,7 +141,7 @@ def test_cards_are_of_these_tasks_as_is_the_page_and_what_is_missing_has_its_com
 def test_every_reference_has_a_score_or_is_refused_or_is_named_as_unplayed():
     for key, card in detector_cards.stored_detector_cards().items():
         assert all("is degenerate" in why for why in card["left_out"].values())
-        waiting = detector_cards.list_unscored(DETECTOR_TASKS[key], card)
+        waiting = list_unscored(DETECTOR_TASKS[key], card)
         assert all(label in PAGE.read_text() for label in waiting)
 
 
