@@ -77,12 +77,13 @@ def shown(world: dict[str, Any], learned: dict[str, Any]) -> str:
     values["gains"] = [_describe_gain(x, learned) for x in SHOWN if x in policies]
     values["counted"] = _count_false_alarms()
     values["audited"] = _find_audited()
-    values["best"] = interval(headline(protections[next(iter(SHOWN))], 0.5))
+    first = next(iter(SHOWN))
+    values["best"] = interval(headline(protections[first], 0.5))
     cost = json.loads(COSTS.read_text())["rows"]["bench, standard"]
     values["minutes"] = round(cost["cpu_s"] / 60)
     values["covers_s"] = get_task(WORLD).detectors[0]["longest_s"]
     values["charted"] = world["calibrations"]["ewma"][0]["runs"]
-    ramps = cells["never", "ramp"], cells[names[next(iter(SHOWN))], "ramp"]
+    ramps = cells["never", "ramp"], cells[names[first], "ramp"]
     values["whole"], values["ramp"] = (metres(x["stealthy_displacement_m"]["value"]) for x in ramps)
     return render_page("bench.md.j2", world=world, **values)
 
