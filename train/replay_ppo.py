@@ -1,0 +1,385 @@
+"""Plain PPO that corrects searched attacks against solution separation, trained on replay.
+
+    python -m train.replay_ppo --list                 # what it trains, and its CPU hours
+    python -m train.replay_ppo --out runs/replay      # all tasks, then confirmed on the engine
+    python -m train.replay_ppo --tasks S2 --seeds 0
+
+The detector of S1 to S3 has a filter of its own, which makes a decision on the engine some twelve
+times as dear; its separations are linear in the attack, so that PPO learns on clean runs and their
+responses (`train.replay_bank`), and only what is kept plays on the engine.  The base is the best of
+the stored open-loop attack and a new search on the training runs, at exactly the alarm budget on
+choice runs.  Of the checkpoints and the base the one is kept that gets farthest on these; scores
+are of other runs, and ratios to the base paired.  After a kill the same command goes on.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecNormalize
+
+import spoofgym.export
+from agents.folder import Part, Records, error_lines, learning_versions, write_json
+from agents.learning import learn, run_training
+from spoofgym.bench.experiments.evaluate import Evaluator
+from spoofgym.bench.report.table import Table, interval
+from spoofgym.bench.report.tasks import stored_cards
+from spoofgym.bench.runs.players import specify_detector
+from spoofgym.bench.runs.record import MEASURES
+from spoofgym.bench.runs.world import World
+from spoofgym.bench.scores.at_budget import AlarmCurve, ratio_at_budget, score_at_budget
+from spoofgym.bench.scores.statistics import BUDGET
+from spoofgym.bench.search.alarm_amplitude import trace_alarms
+from spoofgym.bench.search.amplitude import EXACT, Tuning
+from spoofgym.bench.search.open_loop import LONG, OpenLoopOptimizer
+from spoofgym.core.progress import ProgressBar
+from spoofgym.core.registry import check_choice
+from spoofgym.sb3 import SpoofVecEnv
+from spoofgym.tasks import get_task
+
+from .replay_bank import (
+    SEEN,
+    Bank,
+    BankBackend,
+    BankRuns,
+    BankVecEnv,
+    Course,
+    Policy,
+    record_bank,
+)
+from .residual_ppo import KNOWLEDGE, OPEN_LOOP, get_metres, play_base, scale_rates
+from .suite_ppo import EXPLORE, LEARN, LOG_STDS, find_price, make_env
+
+ROOT = Path(__file__).resolve().parents[1]
+SHIPPED, SCORES = ROOT / "agents" / "replay", ROOT / "docs" / "learned_replay.json"
+BLIND, STATISTICS = KNOWLEDGE
+TASKS = {"S1": (768, 256, 0.7), "S2": (480, 256, 1.0), "S3": (384, 128, 1.5)}
+"""Runs to learn and to choose on, a third of them to choose; runs of scores; CPU hours of the runs
+and of five seeds, roughly."""
+FILTERS = {"own-filter": True, "same-filter": False}
+"""Whether the task's solution separation has its filter, or works on that of the victim."""
+LEARNING, FINAL, CONFIRMED = 5, 7, 8
+"""Entropy of the runs that are learned and chosen on, of those of scores, and of the engine's."""
+BASE = "base"
+TRAINED, SCORED = "training", "evaluation"
+HEAD = (
+    *("task", "detector", "sees", "over its base on choice runs, each seed", "base [m]"),
+    *("PPO, each seed beyond it [m]", "over its base"),
+)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is trained."""
+
+    out: Path = Path("runs/replay")  # Folder of the results.
+    tasks: tuple[str, ...] = tuple(TASKS)  # In whose worlds, at their durations.
+    detectors: tuple[str, ...] = ("own-filter",)  # Solution separation: own-filter, same-filter.
+    knowledge: tuple[str, ...] = (STATISTICS, BLIND)  # What corrections are of.
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)  # One training each; blind the first alone.
+    episodes: int = 40_960  # Of a training.
+    checkpoints: int = 4  # Of a training, of which one or the base is taken.
+    num_envs: int = 1024  # Receivers side by side.
+    list: bool = False  # Only say what is trained, and how long it takes.
+
+    def __post_init__(self) -> None:
+        for word, given, valid in (
+            ("task", self.tasks, TASKS),
+            ("detector", self.detectors, FILTERS),
+            ("knowledge", self.knowledge, KNOWLEDGE),
+        ):
+            for each in given:
+                check_choice(word, each, valid)
+
+    def trainings(self, task: str) -> Iterator[tuple[str, str, int]]:
+        for case, sees, seed in product(self.detectors, self.knowledge, self.seeds):
+            if sees != BLIND or seed == self.seeds[0]:
+                yield case, sees, seed
+
+
+def make_detector(task: str, case: str) -> dict[str, Any]:
+    own = dict(get_task(task).detector)
+    return own if FILTERS[case] else {k: x for k, x in own.items() if k != "filter"}
+
+
+@cache
+def make_world(task: str) -> World:
+    return World.of(task)
+
+
+@cache
+def open_bank(out: Path, task: str, case: str, entropy: int, runs: int) -> Bank:
+    """Recorded once, and stored."""
+    path = out / "banks" / f"{task}-{case}-{entropy}-{runs}.npz"
+    if not path.is_file():
+        world, split = make_world(task), TRAINED if entropy == LEARNING else SCORED
+        found = record_bank(world, make_detector(task, case), split, entropy, runs)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        trial = path.with_suffix(".partial")
+        with trial.open("wb") as file:
+            np.savez(file, **found._asdict())
+        os.replace(trial, path)
+    with np.load(path) as arrays:
+        return Bank(**{name: arrays[name] for name in Bank._fields})
+
+
+def split_bank(out: Path, task: str, case: str) -> tuple[Bank, Bank]:
+    """Runs to learn on, and every third, to choose on."""
+    bank = open_bank(out, task, case, LEARNING, TASKS[task][0])
+    chosen = np.arange(len(bank.sky)) % 3 == 0
+    return bank.take(~chosen), bank.take(chosen)
+
+
+def make_course(task: str, spec: Mapping[str, Any]) -> Course:
+    return Course.of(make_world(task).setup, make_env(dict(spec), STATISTICS)["action"])
+
+
+def correct_nothing(seen: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.zeros((len(seen), 1), dtype=np.float32)
+
+
+def trace(bank: Bank, course: Course, policy: Policy = correct_nothing) -> AlarmCurve:
+    runs = len(bank.sky)
+    settings = Tuning(runs=runs, sift_runs=max(runs // 4, 1), rule=EXACT)
+    return trace_alarms(BankRuns(bank, course, policy), settings)
+
+
+def get_score(curve: AlarmCurve) -> dict[str, Any]:
+    return score_at_budget(curve, BUDGET).as_json()
+
+
+def find_base(out: Path, task: str, case: str) -> dict[str, Any]:
+    """The best open-loop attack, at the budget on choice runs, and how far it and others get."""
+    learned, chosen = split_bank(out, task, case)
+    label = specify_detector(make_detector(task, case)).label
+    stored = stored_cards().get(task, {}).get("optima_mps", {}).get(label)
+    steps = make_world(task).setup.steps // make_world(task).setup.repeat
+    ramp = make_course(task, {"name": OPEN_LOOP, "rates_mps": [0.0] * (steps - 1) + [0.01]})
+    others = {} if stored is None else {"stored": np.asarray(stored)}
+    found = OpenLoopOptimizer(BankBackend(learned, ramp), BUDGET, LONG).search(others)
+    curves = {"found": found.rates_mps, **others}
+    specs = {
+        k: {"name": OPEN_LOOP, "rates_mps": np.round(x, 6).tolist()} for k, x in curves.items()
+    }
+    traces = {name: trace(chosen, make_course(task, spec)) for name, spec in specs.items()}
+    reached = {name: get_metres(get_score(curve)) for name, curve in traces.items()}
+    best = max(reached, key=lambda name: reached[name])
+    spec = scale_rates(specs[best], get_score(traces[best])["amplitude"]["value"])
+    price_m = round(find_price(traces[best]), 1)
+    base = {"spec": spec, "tried_m": reached, "start": found.start, "price_m": price_m}
+    base["choice_m"] = get_metres(get_score(trace(chosen, make_course(task, spec))))
+    return {**base, **find_spread(learned, make_course(task, spec))}
+
+
+def find_spread(bank: Bank, course: Course) -> dict[str, Any]:
+    """First spread of corrections: the widest with which at most the budget more of the episodes
+    alarm than by the base alone."""
+    probe = bank.take(np.arange(0, len(bank.sky), max(len(bank.sky) // 256, 1)))
+    shares = {"base": float(BankRuns(probe, course, correct_nothing).play(1.0)[0].mean())}
+    for log_std in LOG_STDS:
+        model = make_model(probe, course, False, 0.0, 0, len(probe.sky), log_std)
+        model.policy.reset_noise(len(probe.sky))
+        draw = lambda seen, x=model: x.predict(seen)[0]  # noqa: E731
+        shares[f"{log_std:g}"] = float(BankRuns(probe, course, draw).play(1.0)[0].mean())
+        if shares[f"{log_std:g}"] <= shares["base"] + BUDGET:
+            break
+    return {"log_std": log_std, "explored_alarms": shares}
+
+
+def make_model(
+    bank: Bank,
+    course: Course,
+    blind: bool,
+    price_m: float,
+    seed: int,
+    num_envs: int,
+    log_std: float,
+) -> PPO:
+    """PPO whose first corrections are 0 but for exploration."""
+    envs = VecNormalize(BankVecEnv(bank, course, num_envs, price_m, seed, blind), gamma=1.0)
+    steps = course.decisions
+    how: dict[str, Any] = {"n_steps": steps, "batch_size": 5 * num_envs, "gamma": 1.0}
+    how |= {**LEARN, **EXPLORE, "policy_kwargs": {"log_std_init": log_std}}
+    model = PPO("MlpPolicy", envs, seed=seed, device="cpu", **how)
+    with torch.no_grad():
+        for each in model.policy.action_net.parameters():
+            each.zero_()
+    return model
+
+
+class Narrowed(torch.nn.Module):
+    """A policy of some elements of what the environment shows, with their normalization."""
+
+    def __init__(self, model: PPO, names: tuple[str, ...] = SEEN) -> None:
+        super().__init__()
+        norm, policy = model.get_vec_normalize_env(), model.policy
+        count = policy.observation_space.shape[0]
+        self.columns = [names.index(name) for name in SEEN[:count]]
+        self.body = copy.deepcopy(policy.mlp_extractor.policy_net)
+        self.head, self.clip = copy.deepcopy(policy.action_net), float(norm.clip_obs)
+        as_tensor = lambda x: torch.as_tensor(np.asarray(x), dtype=torch.float32)  # noqa: E731
+        self.register_buffer("mean", as_tensor(norm.obs_rms.mean))
+        self.register_buffer("scale", as_tensor(np.sqrt(norm.obs_rms.var + norm.epsilon)))
+
+    def forward(self, seen: torch.Tensor) -> torch.Tensor:
+        scaled = (seen[:, self.columns] - self.mean) / self.scale
+        latent = self.body(torch.clamp(scaled, -self.clip, self.clip))
+        return torch.clamp(self.head(latent), -1.0, 1.0)
+
+    def act(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        with torch.no_grad():
+            return self(torch.as_tensor(seen)).numpy()
+
+
+def train(
+    settings: Settings, task: str, case: str, sees: str, seed: int, base: dict[str, Any]
+) -> dict[str, Any]:
+    """One training, the choice of a checkpoint, its file, and its score on other runs."""
+    began = time.process_time()
+    learned, chosen = split_bank(settings.out, task, case)
+    course = make_course(task, base["spec"])
+    plan = base["price_m"], seed, settings.num_envs, base["log_std"]
+    model = make_model(learned, course, sees == BLIND, *plan)
+    policies, why, reached = [], None, [base["choice_m"]]
+    for _ in range(settings.checkpoints):
+        steps = settings.episodes * course.decisions // settings.checkpoints
+        why = why or learn(model, steps, reset_num_timesteps=False)
+        if why is None:
+            policies.append(Narrowed(model))
+            reached.append(get_metres(get_score(trace(chosen, course, policies[-1].act))))
+    best = int(np.argmax(reached))
+    row: dict[str, Any] = {"task": task, "case": case, "knowledge": sees, "seed": seed}
+    row |= {"steps": model.num_timesteps, "choice_m": reached, "checkpoint": best}
+    row |= {"diverged": why, "file": None}
+    final = open_bank(settings.out, task, case, FINAL, TASKS[task][1])
+    own = trace(final, course, policies[best - 1].act) if best else trace(final, course)
+    other = trace(final, course)
+    row |= {"score": get_score(own), "base": get_score(other)}
+    row["ratio"] = ratio_at_budget(own, other, BUDGET).as_json()
+    if best:
+        row["file"] = write_policy(task, case, sees, seed, base, policies[best - 1], row)
+    row["cpu_s"] = round(time.process_time() - began)
+    return row
+
+
+def write_policy(
+    task: str, case: str, sees: str, seed: int, base: dict[str, Any], policy: Narrowed,
+    row: dict[str, Any],
+) -> str:  # fmt: skip
+    """Ship what was kept; the name of its file."""
+    env = {**make_env(base["spec"], sees), "detector": make_detector(task, case)}
+    shown = SpoofVecEnv(1, **{**get_task(task).world_kwargs, **env})
+    actor = copy.deepcopy(policy)
+    names = shown.observation_names
+    actor.columns = [names.index(name) for name in SEEN[: len(policy.columns)]]
+    blind = f"-{BLIND}" if sees == BLIND else ""
+    path = SHIPPED / f"{task.lower()}-{case}{blind}-{seed}.onnx"
+    path.parent.mkdir(exist_ok=True)
+    kept = ("steps", "seed", "knowledge", "choice_m", "checkpoint")
+    origin = {"algorithm": "PPO", "case": case, **{name: row[name] for name in kept}}
+    origin["decided_on"] = [[LEARNING, TRAINED]]
+    spoofgym.export.onnx(actor, shown, path, training=origin)
+    shown.close()
+    return path.name
+
+
+def confirm(task: str, case: str, rows: dict[str, Any], base: dict[str, Any]) -> dict[str, Any]:
+    """What is shipped and its base on the engine, at the amplitudes of the replay, on fresh runs,
+    each of an age of its own; a second for the part of the replay's displacement."""
+    own = {**get_task(task).world_kwargs, "detector": make_detector(task, case)}
+    judge = Evaluator(runs=TASKS[task][1], entropy=CONFIRMED, **own)
+    still = play_base(OPEN_LOOP, make_env(base["spec"], BLIND))
+    found = {}
+    for name, row in {BASE: next(iter(rows.values())), **rows}.items():
+        if name != BASE and row["file"] is None:
+            continue
+        replayed = row["base" if name == BASE else "score"]
+        policy: Any = still if name == BASE else str(SHIPPED / row["file"])
+        score = judge.score(policy, amplitude=replayed["amplitude"]["value"])
+        found[name] = {
+            "alarm_rate": score.alarm_rate.as_json(),
+            MEASURES[0]: score.stealthy_displacement_m.as_json(),
+        }
+    return found
+
+
+def list_parts(settings: Settings) -> dict[str, Part]:
+    """Bases, trainings and confirmations, in their order."""
+    parts: dict[str, Part] = {}
+    sizes = {name: getattr(settings, name) for name in ("episodes", "checkpoints", "num_envs")}
+    for task, case in product(settings.tasks, settings.detectors):
+        base, trained = f"{task} {case} base", []
+        find = lambda *_, t=task, c=case: find_base(settings.out, t, c)  # noqa: E731
+        parts[base] = Part({"runs": TASKS[task]}, find, work=4.0)
+        for of, sees, seed in settings.trainings(task):
+            if of != case:
+                continue
+            make = lambda done, _, x=(task, case, sees, seed), b=base: train(  # noqa: E731
+                settings, *x, done[b]
+            )
+            name = f"{task} {case} {sees} {seed}"
+            parts[name] = Part({**sizes, "runs": TASKS[task]}, make, after=(base,))
+            trained.append(name)
+        check = lambda done, _, x=(task, case), b=base, of=tuple(trained): confirm(  # noqa: E731
+            *x, {name: done[name] for name in of}, done[b]
+        )
+        own = {**sizes, "runs": TASKS[task], "trained": trained}
+        parts[f"{task} {case} engine"] = Part(own, check, after=(base, *trained), work=4.0)
+    return parts
+
+
+def play(settings: Settings, progress: ProgressBar | None = None) -> dict[str, Any]:
+    """Train what is missing; the results, JSON-able."""
+    config = {"versions": learning_versions()}
+    found = Records("replay-ppo", config, list_parts(settings)).play(settings.out, progress)
+    kept = json.loads(SCORES.read_text()) if SCORES.is_file() else {}
+    write_json(SCORES, {**kept, **found})
+    return found
+
+
+def build_table(results: dict[str, Any]) -> str:
+    """A line of Markdown for each task, detector and knowledge."""
+    lines = []
+    for task, case, sees in product(TASKS, FILTERS, reversed(KNOWLEDGE)):
+        rows = [results[x] for x in results if x.startswith(f"{task} {case} {sees} ")]
+        if not rows:
+            continue
+        gains = [max(row["choice_m"]) / row["choice_m"][0] for row in rows]
+        beyond = [row for row in rows if row["file"]]
+        lines.append((
+            *(task, case, sees, ", ".join(f"{x:.2f}" for x in gains)),
+            interval(rows[0]["base"][MEASURES[0]]),
+            ", ".join(f"{get_metres(row['score']):.1f}" for row in beyond) or "-",
+            "; ".join(interval(row["ratio"], 2) for row in beyond) or "-",
+        ))  # fmt: skip
+    return Table.of_texts(*HEAD).markdown(lines)
+
+
+def list_plan(settings: Settings) -> Iterator[str]:
+    """What is trained, and its CPU hours."""
+    for task in settings.tasks:
+        count = len([*settings.trainings(task)])
+        hours = TASKS[task][2]
+        yield f"{task}: {count} trainings, about {hours:.1f} CPU hours with the runs recorded"
+
+
+@error_lines()
+def main() -> None:
+    run_training(Settings, __doc__, play, build_table, list_plan)
+
+
+if __name__ == "__main__":
+    main()
