@@ -32,7 +32,7 @@ from tools.pages import DOCS, ROOT, put_between, render_page
 
 README, SHARED, DRAWN = ROOT / "README.md", DOCS / "bench.json", DOCS / "campaign.png"
 START, END = "<!-- bench:start -->", "<!-- bench:end -->"
-LEARNED = DOCS / "learned.json"
+LEARNED, REPLAYED = DOCS / "learned.json", DOCS / "learned_replay.json"
 HOLDOUTS = DOCS / "holdouts.json"
 COSTS = DOCS / "costs.json"
 SHOWN = {
@@ -86,6 +86,13 @@ def shown(world: dict[str, Any], learned: dict[str, Any]) -> str:
     ramps = cells["never", "ramp"], cells[names[first], "ramp"]
     values["whole"], values["ramp"] = (metres(x["stealthy_displacement_m"]["value"]) for x in ramps)
     return render_page("bench.md.j2", world=world, **values)
+
+
+def read_learned() -> dict[str, Any]:
+    """Policies by name that were scored on the runs of the table, however they learned."""
+    learned, replayed = (json.loads(file.read_text()) for file in (LEARNED, REPLAYED))
+    scored = [each for name, each in replayed.items() if name.endswith(" readme") and each]
+    return {"policies": {**learned["policies"], **{each["file"]: each for each in scored}}}
 
 
 def list_policies(learned: dict[str, Any]) -> list[dict[str, Any]]:
@@ -167,7 +174,7 @@ def main(arguments: list[str]) -> None:
         summary = summarize(CampaignResults.load(given))
         kept = {"campaign": summary["campaign"], "rows": shared_rows(summary)}
         write_json(SHARED, kept)
-    world, learned = json.loads(FULL.read_text())["worlds"][WORLD], json.loads(LEARNED.read_text())
+    world, learned = json.loads(FULL.read_text())["worlds"][WORLD], read_learned()
     (group,) = groups(world)
     dots = picture_displacements(add_learned(world, learned), group)
     save_drawing(dots.draw, dots.height_in, DRAWN)

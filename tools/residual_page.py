@@ -11,13 +11,14 @@ import json
 from typing import Any
 
 from agents.folder import write_json
+from train import replay_ppo
 from train.residual_ppo import build_table
 from train.suite_ppo import SCORES, tabulate
 
 from .pages import DOCS, fit_tables, marks, parse_folders, put_between
 
 PAGE, DATA_FILE = DOCS / "corrections.md", DOCS / "residual.json"
-SUITE = DOCS / "learned_suite.md"
+SUITE, TASKS = DOCS / "learned_suite.md", DOCS / "learned_tasks.md"
 
 
 def take(results: dict[str, Any], kept: dict[str, Any]) -> dict[str, Any]:
@@ -38,6 +39,8 @@ def main() -> None:
     write_json(DATA_FILE, kept)
     put_between(PAGE, *marks("residual"), fit_tables(f"{build_table(kept)}\n"))
     put_between(SUITE, *marks("suite"), f"{tabulate(json.loads(SCORES.read_text()))}\n")
+    replayed = json.loads(replay_ppo.SCORES.read_text())
+    put_between(TASKS, *marks("replay"), fit_tables(f"{replay_ppo.build_table(replayed)}\n"))
 
 
 if __name__ == "__main__":

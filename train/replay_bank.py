@@ -23,7 +23,7 @@ from spoofgym.bench.runs.world import World
 from spoofgym.bench.search.open_loop import share_skies
 from spoofgym.limits.floor import check_linear_victim
 from spoofgym.limits.linear import get_rate_limits
-from spoofgym.limits.response import Replay
+from spoofgym.limits.response import HATS, Replay
 from spoofgym.simulation.setup import Setup, seeds_of_runs
 from spoofgym.spoofers.learned import ModelPolicy
 from spoofgym.spoofers.scaled import LARGEST, SMALLEST
@@ -77,11 +77,12 @@ def record_bank(
         own = {name: np.asarray(values)[rows] for name, values in given.items()}
         judge = world.judge(specify_detector(dict(detector)))
         replay = Replay(check_linear_victim(setup), [judge], seeds, threads=1, given=own)
-        found = replay._bank(0)
-        first = [int(np.flatnonzero(found.group == g)[0]) for g in range(len(found.units))]
-        aim = np.stack([np.cos(replay.heading), np.sin(replay.heading)], axis=1)[first]
-        of = replay.group[first]
-        moved = replay._along("position", slice(0, 2), np.eye(replay.steps), of, aim)
+        if replay.hats.shape[1] != replay.steps:
+            raise ValueError(
+                f"at most {HATS} decisions can be learned on replay, got {replay.steps}"
+            )
+        found = replay.find_bank(0)
+        first = np.array([np.flatnonzero(found.group == g)[0] for g in range(len(found.units))])
         shape = len(first), replay.epochs, -1, replay.steps
         clean = found.clean.reshape(len(rows), replay.epochs, -1).astype(np.float32)
         quiet = np.square(clean).reshape(*clean.shape[:2], -1, 2).sum(axis=3).max(axis=(1, 2)) <= 1
@@ -89,7 +90,7 @@ def record_bank(
         own_bank = Bank(
             clean,
             found.units.reshape(shape),
-            moved.transpose(2, 0, 3, 1).astype(np.float32),
+            replay.respond_positions(first).astype(np.float32),
             found.group + groups,
             replay.sky,
         ).take(counts)

@@ -61,7 +61,9 @@ from .replay_bank import (
     record_bank,
 )
 from .residual_ppo import KNOWLEDGE, OPEN_LOOP, get_metres, play_base, scale_rates
-from .suite_ppo import EXPLORE, LEARN, LOG_STDS, find_price, make_env
+from .suite_ppo import EXPLORE, LEARN, LOG_STDS, find_price, make_env, score_policy
+from .suite_ppo import TASK as README
+from .suite_ppo import Settings as OfSuite
 
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED, SCORES = ROOT / "agents" / "replay", ROOT / "docs" / "learned_replay.json"
@@ -73,11 +75,12 @@ FILTERS = {"own-filter": True, "same-filter": False}
 """Whether the task's solution separation has its filter, or works on that of the victim."""
 LEARNING, FINAL, CONFIRMED = 5, 7, 8
 """Entropy of the runs that are learned and chosen on, of those of scores, and of the engine's."""
-BASE = "base"
+BASE, RUNS = "base", OfSuite.runs
 TRAINED, SCORED = "training", "evaluation"
 HEAD = (
     *("task", "detector", "sees", "over its base on choice runs, each seed", "base [m]"),
-    *("PPO, each seed beyond it [m]", "over its base"),
+    *("PPO, each seed beyond it [m]", "over its base, each of these"),
+    *("on the engine", "alarms there [%]: base; PPO"),
 )
 
 
@@ -118,6 +121,10 @@ def make_detector(task: str, case: str) -> dict[str, Any]:
 @cache
 def make_world(task: str) -> World:
     return World.of(task)
+
+
+def describe_world(task: str) -> dict[str, Any]:
+    return get_task(task).world_kwargs
 
 
 @cache
@@ -281,7 +288,7 @@ def write_policy(
 ) -> str:  # fmt: skip
     """Ship what was kept; the name of its file."""
     env = {**make_env(base["spec"], sees), "detector": make_detector(task, case)}
-    shown = SpoofVecEnv(1, **{**get_task(task).world_kwargs, **env})
+    shown = SpoofVecEnv(1, **{**describe_world(task), **env})
     actor = copy.deepcopy(policy)
     names = shown.observation_names
     actor.columns = [names.index(name) for name in SEEN[: len(policy.columns)]]
@@ -290,6 +297,7 @@ def write_policy(
     path.parent.mkdir(exist_ok=True)
     kept = ("steps", "seed", "knowledge", "choice_m", "checkpoint")
     origin = {"algorithm": "PPO", "case": case, **{name: row[name] for name in kept}}
+    origin["price_m"] = base["price_m"]
     origin["decided_on"] = [[LEARNING, TRAINED]]
     spoofgym.export.onnx(actor, shown, path, training=origin)
     shown.close()
@@ -299,7 +307,7 @@ def write_policy(
 def confirm(task: str, case: str, rows: dict[str, Any], base: dict[str, Any]) -> dict[str, Any]:
     """What is shipped and its base on the engine, at the amplitudes of the replay, on fresh runs,
     each of an age of its own; a second for the part of the replay's displacement."""
-    own = {**get_task(task).world_kwargs, "detector": make_detector(task, case)}
+    own = {**describe_world(task), "detector": make_detector(task, case)}
     judge = Evaluator(runs=TASKS[task][1], entropy=CONFIRMED, **own)
     still = play_base(OPEN_LOOP, make_env(base["spec"], BLIND))
     found = {}
@@ -314,6 +322,16 @@ def confirm(task: str, case: str, rows: dict[str, Any], base: dict[str, Any]) ->
             MEASURES[0]: score.stealthy_displacement_m.as_json(),
         }
     return found
+
+
+def score_best_seed(rows: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """Score on the engine, on the runs of the README's table, of the seed with statistics that got
+    farthest on choice runs; None where none got farther than its base."""
+    kept = [row for row in rows if row["file"] and row["knowledge"] == STATISTICS]
+    if not kept:
+        return None
+    best = max(kept, key=lambda row: max(row["choice_m"]))
+    return score_policy(SHIPPED / best["file"], RUNS)
 
 
 def list_parts(settings: Settings) -> dict[str, Part]:
@@ -338,6 +356,11 @@ def list_parts(settings: Settings) -> dict[str, Part]:
         )
         own = {**sizes, "runs": TASKS[task], "trained": trained}
         parts[f"{task} {case} engine"] = Part(own, check, after=(base, *trained), work=4.0)
+        if task == README:
+            best = lambda done, _, of=tuple(trained): score_best_seed(  # noqa: E731
+                [done[name] for name in of]
+            )
+            parts[f"{task} {case} readme"] = Part(own, best, after=tuple(trained), work=10.0)
     return parts
 
 
@@ -354,16 +377,22 @@ def build_table(results: dict[str, Any]) -> str:
     """A line of Markdown for each task, detector and knowledge."""
     lines = []
     for task, case, sees in product(TASKS, FILTERS, reversed(KNOWLEDGE)):
-        rows = [results[x] for x in results if x.startswith(f"{task} {case} {sees} ")]
-        if not rows:
+        names = [name for name in results if name.startswith(f"{task} {case} {sees} ")]
+        if not names:
             continue
+        rows, engine = [results[name] for name in names], results[f"{task} {case} engine"]
         gains = [max(row["choice_m"]) / row["choice_m"][0] for row in rows]
         beyond = [row for row in rows if row["file"]]
+        played = [engine[name] for name in names if name in engine]
+        over = [get_metres(x) / get_metres(engine[BASE]) for x in played]
+        alarms = [f"{100.0 * each['alarm_rate']['value']:.1f}" for each in (engine[BASE], *played)]
         lines.append((
             *(task, case, sees, ", ".join(f"{x:.2f}" for x in gains)),
             interval(rows[0]["base"][MEASURES[0]]),
             ", ".join(f"{get_metres(row['score']):.1f}" for row in beyond) or "-",
             "; ".join(interval(row["ratio"], 2) for row in beyond) or "-",
+            ", ".join(f"{x:.2f}" for x in over) or "-",
+            f"{alarms[0]}; {', '.join(alarms[1:]) or '-'}",
         ))  # fmt: skip
     return Table.of_texts(*HEAD).markdown(lines)
 

@@ -245,7 +245,7 @@ def score_policy(path: Path, runs: int) -> dict[str, Any]:
     )
     ratio = ratio_at_budget(kept.trace, base.trace, BUDGET).as_json()
     kept_of_card = ("knowledge", "seed", "price_m", "steps", "choice_m")
-    origin = {name: card.training[name] for name in kept_of_card}
+    origin = {name: card.training[name] for name in kept_of_card if name in card.training}
     scores = {"score": kept.at_budget, "base": base.at_budget, "ratio": ratio}
     return {"detector": label, "file": path.name, **origin, **scores, "amplitude": kept.value}
 

@@ -196,7 +196,7 @@ class LinearReplay:
         each = np.broadcast_to(np.asarray(scale, dtype=np.float64), rows.shape)
         one = self._play_bank if self.sums(number) else self._play
         if self.sums(number):
-            self._bank(number)  # once, before threads use it
+            self.find_bank(number)  # once, before threads use it
         parts = np.array_split(rates, min(self.threads, len(rates)))
         if len(parts) == 1:
             return one(number, rates, rows, each)
@@ -230,7 +230,7 @@ class LinearReplay:
     def _play_bank(
         self, number: int, rates: FloatArray, rows: NDArray[np.intp], scale: FloatArray
     ) -> Replayed:
-        bank, u = self._bank(number), self._coefficients(rates).astype(np.float32)
+        bank, u = self.find_bank(number), self._coefficients(rates).astype(np.float32)
         shape = len(rates), len(rows)
         first, peak = np.zeros(shape, dtype=np.int64), np.zeros(shape)
         for at, row in enumerate(rows.tolist()):
@@ -243,7 +243,8 @@ class LinearReplay:
             first[:, at] = np.where(above.any(axis=0), above.argmax(axis=0) + 1, 0)
         return Replayed(first, peak, self.errors(rates, rows) * scale)
 
-    def _bank(self, number: int) -> LinearBank:
+    def find_bank(self, number: int) -> LinearBank:
+        """Separations of a detector that is judged by sums, of all runs along their headings."""
         key = number, self.heading.tobytes()
         if key not in self._banks:
             pairs = np.stack([self.group, self.heading], axis=1)
@@ -303,6 +304,13 @@ class LinearReplay:
             if name in ALWAYS | needs
         }
         return moved, self.errors(rates, rows)
+
+    def respond_positions(self, rows: NDArray[np.intp]) -> FloatArray:
+        """(N, K, 2, Q) induced errors north and east of runs by hat function [m]."""
+        aim = np.stack([np.cos(self.heading[rows]), np.sin(self.heading[rows])], axis=1)
+        each = np.eye(self.hats.shape[1])
+        found = self._along("position", slice(0, 2), each, self.group[rows], aim)
+        return found.transpose(2, 0, 3, 1)
 
     def errors(self, rates: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
         """Induced horizontal errors (K, P, N) of attacks [m], `rates` as of `play`."""

@@ -16,7 +16,17 @@ from spoofgym.tasks import get_task
 from spoofgym.testing import check_detector
 from tools.headlines import DATA_FILE as FULL
 from tools.pages import part_between
-from tools.readme_bench import END, LEARNED, SHARED, SHOWN, START, WORLD, label, shared_rows, shown
+from tools.readme_bench import (
+    END,
+    SHARED,
+    SHOWN,
+    START,
+    WORLD,
+    label,
+    read_learned,
+    shared_rows,
+    shown,
+)
 from tools.readme_figures import read_parts
 
 from .pages import ROOT, blocks_of, play, text_of
@@ -101,8 +111,7 @@ def test_detector_campaign_extras_and_times_are_those_that_it_names(saved, full)
 
 
 def test_the_table_is_that_of_the_full_run(full):
-    kept = json.loads(LEARNED.read_text())
-    assert part_between(README, START, END) == f"\n{shown(full, kept)}"
+    assert part_between(README, START, END) == f"\n{shown(full, read_learned())}"
     assert full["campaign"] in README
     names = [label(row["detector"]) for row in full["detectors"]]
     assert {*SHOWN} <= {*names}
