@@ -34,6 +34,7 @@ Policy = Callable[[NDArray[np.float32]], NDArray[Any]]
 """Corrections (B, 1) by what is seen (B, o)."""
 AT_ONCE = 64
 """Runs that are recorded together: their filters' matrices are some 10 kB a run and epoch."""
+SEARCHED = 600  # epochs of an attack that a search judges, about
 SEEN = (
     *("own_displacement_along_target", "own_rate_along_target"),
     *("time_since_onset", "time_left", "statistic_ratio"),
@@ -188,30 +189,29 @@ class Receivers:
         course, bank, run = self.course, self.bank, self.row[which]
         start, end = decision * course.repeat, (decision + 1) * course.repeat
         stop = end + (course.hold if decision + 1 == course.decisions else 0)
-        rates = self.rates[which, : decision + 1]
-        units = bank.units[group, start:stop, :, : decision + 1]
-        flat = rates @ units.reshape(-1, decision + 1).T
+        rates = self.rates[which]  # 0 from the next decision on
+        flat = rates @ bank.units[group, start:stop].reshape(-1, course.decisions).T
         apart = flat.reshape(len(which), stop - start, -1) + bank.clean[run, start:stop]
         square = np.square(apart)
         ratio = (square[..., 0::2] + square[..., 1::2]).max(axis=2)  # (b, k)
-        moved = bank.moved[group, start:end, :, : decision + 1].reshape(-1, decision + 1)
+        moved = bank.moved[group, start:end].reshape(-1, course.decisions)
         north, east = np.moveaxis((rates @ moved.T).reshape(len(which), end - start, 2), 2, 0)
         farthest = np.maximum(np.hypot(north, east), self.farthest[which, start, None])
         self.farthest[which, start + 1 : end + 1] = np.maximum.accumulate(farthest, axis=1)
-        self.farthest[which, end + 1 :] = self.farthest[which, end, None]
         self.ratio[which] = ratio[:, end - start - 1]
         alarm = ratio > 1.0
         first = np.where(alarm.any(axis=1), start + 1 + alarm.argmax(axis=1), 0)
         self.first_alarm[which] = np.where(self.first_alarm[which], self.first_alarm[which], first)
 
-    def undetected_m(self) -> FloatArray:
-        """(B,) by the rule of the benchmark, of what was played so far."""
-        error = self.farthest[:, 1 : 1 + self.course.decisions * self.course.repeat]
-        return undetected_displacement(error.T, self.first_alarm, self.course.hold)
+    def undetected_m(self, which: Any = slice(None)) -> FloatArray:
+        """By the rule of the benchmark, of some that have alarmed or come to the end."""
+        error = self.farthest[which, 1 : 1 + self.course.decisions * self.course.repeat]
+        return undetected_displacement(error.T, self.first_alarm[which], self.course.hold)
 
 
 class BankBackend:
-    """A bank for a search of open-loop attacks, as `ReplayBackend` is."""
+    """A bank for a search of open-loop attacks, as `ReplayBackend` is. Of long attacks it judges
+    one epoch of several: the amplitude of what is found is fitted on all of them."""
 
     sums = True
 
@@ -219,6 +219,7 @@ class BankBackend:
         self.bank, self.runs, self.steps = bank, len(bank.sky), course.decisions
         self.limits = course.limit_mps, course.change_mps
         self.attack_epochs = course.decisions * course.repeat
+        self.every = max(bank.clean.shape[1] // SEARCHED, 1)
 
     def play(self, curves: FloatArray, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
         """(P, r) largest ratios of curves (P, D), and (P,) how far they get in the mean [m]."""
@@ -226,11 +227,11 @@ class BankBackend:
         rates = curves.T.astype(np.float32)
         for group in np.unique(self.bank.group[rows]).tolist():
             mine = np.flatnonzero(self.bank.group[rows] == group)
-            apart = self.bank.units[group] @ rates  # (K, 2 J, P)
+            apart = self.bank.units[group, :: self.every] @ rates  # (K, 2 J, P)
             for k in mine.tolist():
-                square = np.square(apart + self.bank.clean[rows[k], :, :, None])
+                square = np.square(apart + self.bank.clean[rows[k], :: self.every, :, None])
                 peak[:, k] = (square[:, 0::2] + square[:, 1::2]).max(axis=(0, 1))
-            moved = self.bank.moved[group, : self.attack_epochs] @ rates
+            moved = self.bank.moved[group, : self.attack_epochs : self.every] @ rates
             reach[:, mine] = np.hypot(moved[:, 0], moved[:, 1]).max(axis=0)[:, None]
         return peak, reach.mean(axis=1)
 
@@ -296,9 +297,9 @@ class BankVecEnv(VecEnv):
         own, course = self.receivers, self.receivers.course
         own.step(self.actions, self.everyone)
         alarmed = own.first_alarm > 0
-        now = np.where(
-            alarmed, own.undetected_m(), own.farthest[self.everyone, own.at * course.repeat]
-        )
+        now = own.farthest[self.everyone, own.at * course.repeat].astype(np.float64)
+        if alarmed.any():
+            now[alarmed] = own.undetected_m(alarmed)
         reward = now - self.reached - np.where(alarmed, self.price_m, 0.0)
         self.reached[:] = now
         over = alarmed | (own.at == course.decisions)
