@@ -125,6 +125,8 @@ def add_learned(world: dict[str, Any], learned: dict[str, Any]) -> dict[str, Any
 def _describe_gain(detector: str, learned: dict[str, Any]) -> str:
     """How far the seeds that were kept get over their base, and how many surely get farther."""
     seeds = [each["ratio"] for each in list_policies(learned) if each["detector"] == detector]
+    if len(seeds) == 1:
+        return f"{SHOWN[detector]} {interval(seeds[0], 2)}, one seed"
     values = sorted(each["value"] for each in seeds)
     farther = sum(each["low"] > 1.0 for each in seeds)
     reached = f"{SHOWN[detector]} {values[0]:.2f} to {values[-1]:.2f}"

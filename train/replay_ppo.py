@@ -192,8 +192,8 @@ def find_base(out: Path, task: str, case: str) -> dict[str, Any]:
 
 
 def find_spread(bank: Bank, course: Course) -> dict[str, Any]:
-    """First spread of corrections: the widest with which at most the budget more of the episodes
-    alarm than by the base alone."""
+    """First spread of corrections: the widest with which at most half of the budget more of the
+    episodes alarm than by the base alone."""
     probe = bank.take(np.arange(0, len(bank.sky), max(len(bank.sky) // 256, 1)))
     shares = {"base": float(BankRuns(probe, course, correct_nothing).play(1.0)[0].mean())}
     for log_std in LOG_STDS:
@@ -201,7 +201,7 @@ def find_spread(bank: Bank, course: Course) -> dict[str, Any]:
         model.policy.reset_noise(len(probe.sky))
         draw = lambda seen, x=model: x.predict(seen)[0]  # noqa: E731
         shares[f"{log_std:g}"] = float(BankRuns(probe, course, draw).play(1.0)[0].mean())
-        if shares[f"{log_std:g}"] <= shares["base"] + BUDGET:
+        if shares[f"{log_std:g}"] <= shares["base"] + 0.5 * BUDGET:
             break
     return {"log_std": log_std, "explored_alarms": shares}
 
