@@ -61,7 +61,7 @@ test-pythons: ## all tests, on every Python of this machine, each in an environm
 soak: $(VENV)/.installed-test ## wear engine, environments, duel and results down by drawn faults; SOAK_MINUTES=30
 	SPOOFGYM_SOAK_MINUTES=$(SOAK_MINUTES) $(python) -m pytest tests/soak --nightly $(ARGS)
 
-release: ## build sdist and wheel, try both in clean environments, and print what is left to do by hand
+release: ## build sdist, wheel and bill of materials, try both in clean environments, print what is left to do by hand
 	$(PYTHON) -m tools.release $(ARGS)
 
 test-ray: $(VENV_RAY)/.installed ## test RLlib, Minari and the oldest Gymnasium, in an environment of its own

@@ -1,4 +1,5 @@
-"""Builds sdist and wheel, tries both in clean environments, and prints what is left to do by hand.
+"""Builds sdist and wheel, tries both in clean environments, writes a bill of materials of what is
+installed there, and prints what is left to do by hand.
 
     make release
 
@@ -8,6 +9,7 @@ Needs a Python and a package index, nothing else.
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import re
 import shlex
@@ -21,7 +23,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 DIST = ROOT / "dist"
+PINS = ROOT / "constraints.txt"
 EXTRAS = "report,flights"
+TOOLS = ("build", "cyclonedx-bom", "sp-repo-review[cli]")
 TRIED = ("spoofgym demo",)
 """Commands of the README that end in a minute or two; the others are listed, `spoofgym warmup`,
 which compiles much more than these need, among them."""
@@ -71,13 +75,11 @@ def make_environment(folder: Path, *wanted: str) -> Path:
     """A new environment with the pinned versions of what is wanted; returns its programs."""
     venv.create(folder, with_pip=True)
     programs = folder / "bin"
-    pins = ROOT / "constraints.txt"
-    run(programs / "python", "-m", "pip", "install", "-q", "--prefer-binary", "-c", pins, *wanted)
+    run(programs / "python", "-m", "pip", "install", "-q", "--prefer-binary", "-c", PINS, *wanted)
     return programs
 
 
-def build(folder: Path) -> list[Path]:
-    programs = make_environment(folder / "tools", "build", "sp-repo-review[cli]")
+def build(programs: Path) -> list[Path]:
     run(programs / "repo-review", ROOT)
     for old in DIST.glob("spoofgym-*"):
         old.unlink()
@@ -85,8 +87,8 @@ def build(folder: Path) -> list[Path]:
     return sorted(DIST.glob("spoofgym-*"))
 
 
-def try_out(distribution: Path, folder: Path, readme: str) -> None:
-    """Install a file as a user does, and do what the README says."""
+def try_out(distribution: Path, folder: Path, readme: str) -> Path:
+    """Install a file as a user does, and do what the README says; returns the programs."""
     programs = make_environment(folder / "env", f"{distribution}[{EXTRAS}]")
     work = folder / "work"
     work.mkdir()
@@ -95,6 +97,31 @@ def try_out(distribution: Path, folder: Path, readme: str) -> None:
         run(programs / name, *words, cwd=work)
     (work / "my_detector.py").write_text(find_detector(readme))
     run(programs / "python", "-c", f"{CHECK}; c(A())", cwd=work)
+    return programs
+
+
+def list_unpinned(bom: str, pins: str) -> list[str]:
+    """What a bill of materials names in no version or another than the pinned one."""
+    plain = {re.sub(r"[-_.]+", "-", line).lower() for line in pins.splitlines()}
+    named = [f"{each['name']}=={each.get('version')}" for each in json.loads(bom)["components"]]
+    return [each for each in named if re.sub(r"[-_.]+", "-", each).lower() not in plain]
+
+
+def write_bom(tools: Path, programs: Path, version: str) -> Path:
+    """All that is installed with a distribution as CycloneDX JSON, checked by its schema.
+
+    pip and setuptools, which came with the environment, are removed from it.
+    """
+    run(programs / "python", "-m", "pip", "uninstall", "-q", "-y", "pip", "setuptools")
+    project = programs / "pyproject.toml"
+    text = (ROOT / "pyproject.toml").read_text()
+    project.write_text(text.replace('dynamic = ["version"]', f'version = "{version}"'))
+    bom = DIST / f"spoofgym-{version}.cdx.json"
+    words = ("environment", "--mc-type=library", "--output-reproducible", "--validate")
+    run(tools / "cyclonedx-py", *words, "--pyproject", project, "-o", bom, programs / "python")
+    if unpinned := list_unpinned(bom.read_text(), PINS.read_text()):
+        sys.exit(f"no release: constraints.txt does not pin {', '.join(unpinned)}")
+    return bom
 
 
 def main() -> None:
@@ -102,11 +129,13 @@ def main() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     with tempfile.TemporaryDirectory(prefix="release-") as temporary:
         folder = Path(temporary)
-        made = build(folder)
+        tools = make_environment(folder / "tools", *TOOLS)
+        made = build(tools)
+        version = made[0].name.split("-")[1].removesuffix(".tar.gz")
         for each in made:
             (folder / each.suffix[1:]).mkdir()
-            try_out(each, folder / each.suffix[1:], readme)
-    version = made[0].name.split("-")[1].removesuffix(".tar.gz")
+            programs = try_out(each, folder / each.suffix[1:], readme)
+        made.append(write_bom(tools, programs, version))
     print(f"\nBuilt and tried with Python {sys.version.split()[0]}:")
     for each in made:
         print(f"  {each.name}  sha256 {hashlib.sha256(each.read_bytes()).hexdigest()}")

@@ -79,10 +79,14 @@ def build_tables() -> str:
         f"requested {rates['rate']:g} an hour, measured {', '.join(measured)} in the means of "
         "three worlds, passive detectors ([which, and the suite's world]"
         "(calibration_worlds.md#do-those-that-are-shipped-hold)).",
-        "**Papers.** How many rows of their tables agree. The first two counts leave out rows that "
-        "could hardly fail: the printed value and ours are both 0 %, or both 100 %. *All rows* are "
-        "the counts of the papers' own pages. Some bands are our choice, and the second program is "
-        "unpublished ([papers](papers.md)).",
+        "**Papers.** How many rows of their tables agree. The *band* of a row is the range in "
+        "which the printed value and ours both have to lie: a margin around the printed value, the "
+        "spread of our runs, or what the second program found; some are our choice. The *second "
+        "program* was written separately from the same papers, and is unpublished. Its columns "
+        "count the rows with a band around what it found: in how many our value lies in it "
+        "([more](papers.md#how-to-read-a-row)). The first two counts leave out rows that could "
+        "hardly fail: the printed value and ours are both 0 %, or both 100 %. *All rows* are the "
+        "counts of the papers' own pages.",
         papers,
         "## Modelled only",
         Table.of_texts("capability", "why").markdown(modelled) + "\n",

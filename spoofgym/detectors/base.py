@@ -96,9 +96,9 @@ class DetectorContext(NamedTuple):
         How many of `states` are of navigation, clock and inertial sensors.  The others are errors
         of signals; in `transition` they act on no other state.
     model : FilterModel or None
-        What the designer of a receiver knows of the errors that he assumes, for a filter beside the
-        victim's (`own_filter`): that of a tightly coupled receiver whose worlds have the same
-        sensors and errors; None for any other victim.
+        For a filter beside the victim's (`own_filter`): the errors of sensors and signals that the
+        victim's designer assumes.  None unless the victim is tightly coupled, and all its episodes
+        have the same grade of sensors and the same kind of errors.
     """
 
     receivers: int
