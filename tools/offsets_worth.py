@@ -171,8 +171,8 @@ def main(arguments: list[str]) -> None:
     if given.json:
         print_json(found)
     if given.page:
-        kept = json.loads(DATA_FILE.read_text())["cases"] if DATA_FILE.exists() else {}
-        kept = {"world": WORLD, "runs": given.runs, "cases": {**kept, **found}}
+        kept = json.loads(DATA_FILE.read_text()) if DATA_FILE.exists() else {"cases": {}}
+        kept |= {"world": WORLD, "runs": given.runs, "cases": {**kept["cases"], **found}}
         write_json(DATA_FILE, kept)
         put_between(PAGE, *MARKS, build_table(kept))
     Table.of_texts(*HEAD).print(

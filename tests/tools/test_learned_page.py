@@ -114,5 +114,20 @@ def test_the_table_of_corrections_is_that_of_the_kept_results_to_which_rows_are_
     (detector, found), *_ = kept["detectors"].items()
     some = {**kept, "detectors": {detector: {**found, "rows": {}}}}
     assert take(some, json.loads(DATA_FILE.read_text())) == kept
-    with pytest.raises(ValueError, match=r"residual\.json has results of other steps"):
+    with pytest.raises(ValueError, match="what is kept has other steps"):
         take({**kept, "steps": 1}, kept)
+
+
+def test_the_table_of_ppo_on_offsets_is_that_of_the_kept_results_to_which_rows_are_added():
+    for name in ("stable_baselines3", "tyro"):
+        pytest.importorskip(name)
+    from tools.offsets_worth import DATA_FILE, PAGE
+    from tools.residual_page import LEARNED, OFFSETS, take_offsets
+    from train.offsets_ppo import build_table
+
+    kept = json.loads(DATA_FILE.read_text())[LEARNED]
+    assert part_between(PAGE.read_text(), *OFFSETS) == fit_tables(f"\n{build_table(kept)}\n")
+    (first, found), *_ = kept["cases"].items()
+    assert take_offsets({**kept, "cases": {first: found}}, kept) == kept
+    with pytest.raises(ValueError, match="what is kept has other entropy"):
+        take_offsets({**kept, "entropy": -1}, kept)
