@@ -88,6 +88,10 @@ SMALLER: dict[str, tuple[str | None, str]] = {
         "a calibration; tests/bench/test_audit.py has one like it",
     ),
     r"spoofgym audit .* --log ": ("--family ramps", "a minute"),
+    r"cd my-attack && spoofgym audit --spoofer ": (
+        "--budget quick --runs 8 --seed 0",
+        "twelve detectors",
+    ),
     r"spoofgym audit --spoofer ": ("--budget quick --runs 8 --seed 0", "twelve detectors"),
     r"cd my-entry && spoofgym audit ": (AUDIT, "an hour"),
     r"spoofgym audit ": (AUDIT, "a minute to ten, and a calibration"),
