@@ -243,7 +243,8 @@ class BankRuns:
         self.bank, self.course, self.policy = bank, course, policy
         self.sky, self.span = bank.sky, (SMALLEST, LARGEST)
 
-    def _play(self, values: Any, rows: NDArray[np.intp]) -> Receivers:
+    def run(self, values: Any, rows: NDArray[np.intp]) -> Receivers:
+        """Some runs, each at one value or at its own, to the end."""
         own = Receivers(self.bank, self.course, len(rows))
         everyone = np.arange(len(rows))
         own.start(everyone, rows)
@@ -253,15 +254,15 @@ class BankRuns:
         return own
 
     def play(self, value: float) -> tuple[Mask, dict[str, FloatArray]]:
-        played = self._play(value, np.arange(len(self.sky)))
+        played = self.run(value, np.arange(len(self.sky)))
         return played.first_alarm > 0, {MEASURES[0]: played.undetected_m()}
 
     def sift(self, values: Sequence[float], count: int) -> Mask:
         rows = np.arange(min(count, len(self.sky)))
-        return np.array([self._play(value, rows).first_alarm > 0 for value in values])
+        return np.array([self.run(value, rows).first_alarm > 0 for value in values])
 
     def alarms(self, values: FloatArray, rows: NDArray[np.intp]) -> Mask:
-        return self._play(values, rows).first_alarm > 0
+        return self.run(values, rows).first_alarm > 0
 
 
 class BankVecEnv(VecEnv):

@@ -3,6 +3,7 @@
     python -m train.replay_ppo --list                 # what it trains, and its CPU hours
     python -m train.replay_ppo --out runs/replay      # all tasks, then confirmed on the engine
     python -m train.replay_ppo --tasks S2 --seeds 0
+    python -m train.replay_ppo --ship                 # the results into docs/ and agents/, too
 
 The detector of S1 to S3 has a filter of its own, which makes a decision on the engine some twelve
 times as dear; its separations are linear in the attack, so that PPO learns on clean runs and their
@@ -15,8 +16,10 @@ are of other runs, and ratios to the base paired.  After a kill the same command
 from __future__ import annotations
 
 import copy
+import hashlib
 import json
 import os
+import shutil
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -47,6 +50,7 @@ from spoofgym.bench.search.amplitude import EXACT, Tuning
 from spoofgym.bench.search.open_loop import LONG, OpenLoopOptimizer
 from spoofgym.core.progress import ProgressBar
 from spoofgym.core.registry import check_choice
+from spoofgym.core.settings import compute_digest, describe
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.tasks import get_task
 
@@ -73,14 +77,16 @@ TASKS = {"S1": (768, 256, 0.7), "S2": (480, 256, 1.0), "S3": (384, 128, 1.5)}
 and of five seeds, roughly."""
 FILTERS = {"own-filter": True, "same-filter": False}
 """Whether the task's solution separation has its filter, or works on that of the victim."""
+RECORDING = 1
+"""Of banks: another one where `record_bank` records something else."""
 LEARNING, FINAL, CONFIRMED = 5, 7, 8
 """Entropy of the runs that are learned and chosen on, of those of scores, and of the engine's."""
-BASE, RUNS = "base", OfSuite.runs
+BASE, POLICIES, RUNS = "base", "policies", OfSuite.runs
 TRAINED, SCORED = "training", "evaluation"
 HEAD = (
     *("task", "detector", "sees", "over its base on choice runs, each seed", "base [m]"),
     *("PPO, each seed beyond it [m]", "over its base, each of these"),
-    *("on the engine", "alarms there [%]: base; PPO"),
+    *("shown the mean statistic", "on the engine", "alarms there [%]: base; PPO"),
 )
 
 
@@ -97,6 +103,7 @@ class Settings:
     checkpoints: int = 4  # Of a training, of which one or the base is taken.
     num_envs: int = 1024  # Receivers side by side.
     list: bool = False  # Only say what is trained, and how long it takes.
+    ship: bool = False  # Take the results into docs/ and what got farther into agents/.
 
     def __post_init__(self) -> None:
         for word, given, valid in (
@@ -128,14 +135,24 @@ def describe_world(task: str) -> dict[str, Any]:
 
 
 @cache
+def identify(task: str, case: str) -> str:
+    """Digest of a world, its detector and the thresholds that this has there."""
+    world, detector = make_world(task), specify_detector(make_detector(task, case))
+    scales = [point.scale for point in world.points(detector)]
+    known = {"world": world.config, "detector": detector.spec, "scales": scales}
+    return compute_digest(describe({**known, "recording": RECORDING}))
+
+
+@cache
 def open_bank(out: Path, task: str, case: str, entropy: int, runs: int) -> Bank:
     """Recorded once, and stored."""
-    path = out / "banks" / f"{task}-{case}-{entropy}-{runs}.npz"
+    name = f"{task}-{case}-{entropy}-{runs}-{identify(task, case)[:8]}.npz"
+    path = out / "banks" / name
     if not path.is_file():
         world, split = make_world(task), TRAINED if entropy == LEARNING else SCORED
         found = record_bank(world, make_detector(task, case), split, entropy, runs)
         path.parent.mkdir(parents=True, exist_ok=True)
-        trial = path.with_suffix(".partial")
+        trial = path.with_suffix(f".{os.getpid()}.partial")
         with trial.open("wb") as file:
             np.savez(file, **found._asdict())
         os.replace(trial, path)
@@ -277,36 +294,71 @@ def train(
     row |= {"score": get_score(own), "base": get_score(other)}
     row["ratio"] = ratio_at_budget(own, other, BUDGET).as_json()
     if best:
-        row["file"] = write_policy(task, case, sees, seed, base, policies[best - 1], row)
+        act = policies[best - 1].act
+        if sees == STATISTICS:
+            still = trace(final, course, average_statistic(chosen, course, act))
+            row["averaged"] = ratio_at_budget(still, other, BUDGET).as_json()
+        file = write_policy(settings.out, task, case, base, policies[best - 1], row)
+        row |= {"file": file.name, "sha256": compute_file_digest(file)}
     row["cpu_s"] = round(time.process_time() - began)
     return row
 
 
+def average_statistic(bank: Bank, course: Course, act: Policy) -> Policy:
+    """A control: the policy that is shown, at each decision, the mean statistic that it meets on
+    runs of a bank, and not that of its own run."""
+    means: list[float] = []
+
+    def watch(seen: NDArray[np.float32]) -> NDArray[Any]:
+        means.append(float(seen[:, -1].mean()))
+        return act(seen)
+
+    def average(seen: NDArray[np.float32]) -> NDArray[Any]:
+        given = seen.copy()
+        given[:, -1] = means[round(float(seen[0, 2]) * course.decisions)]
+        return act(given)
+
+    BankRuns(bank, course, watch).play(1.0)
+    return average
+
+
+def compute_file_digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
 def write_policy(
-    task: str, case: str, sees: str, seed: int, base: dict[str, Any], policy: Narrowed,
-    row: dict[str, Any],
-) -> str:  # fmt: skip
-    """Ship what was kept; the name of its file."""
-    env = {**make_env(base["spec"], sees), "detector": make_detector(task, case)}
+    out: Path, task: str, case: str, base: dict[str, Any], policy: Narrowed, row: dict[str, Any]
+) -> Path:
+    """File and card of what was kept."""
+    env = {**make_env(base["spec"], row["knowledge"]), "detector": make_detector(task, case)}
     shown = SpoofVecEnv(1, **{**describe_world(task), **env})
     actor = copy.deepcopy(policy)
     names = shown.observation_names
     actor.columns = [names.index(name) for name in SEEN[: len(policy.columns)]]
-    blind = f"-{BLIND}" if sees == BLIND else ""
-    path = SHIPPED / f"{task.lower()}-{case}{blind}-{seed}.onnx"
-    path.parent.mkdir(exist_ok=True)
+    blind = f"-{BLIND}" if row["knowledge"] == BLIND else ""
+    path = out / POLICIES / f"{task.lower()}-{case}{blind}-{row['seed']}.onnx"
+    path.parent.mkdir(parents=True, exist_ok=True)
     kept = ("steps", "seed", "knowledge", "choice_m", "checkpoint")
     origin = {"algorithm": "PPO", "case": case, **{name: row[name] for name in kept}}
-    origin["price_m"] = base["price_m"]
-    origin["decided_on"] = [[LEARNING, TRAINED]]
+    origin |= {"price_m": base["price_m"], "decided_on": [[LEARNING, TRAINED]]}
     spoofgym.export.onnx(actor, shown, path, training=origin)
     shown.close()
-    return path.name
+    return path
 
 
-def confirm(task: str, case: str, rows: dict[str, Any], base: dict[str, Any]) -> dict[str, Any]:
-    """What is shipped and its base on the engine, at the amplitudes of the replay, on fresh runs,
-    each of an age of its own; a second for the part of the replay's displacement."""
+def find_policy(out: Path, row: Mapping[str, Any]) -> Path:
+    """File of a row, as it was written for it."""
+    path = out / POLICIES / row["file"]
+    if not path.is_file() or compute_file_digest(path) != row["sha256"]:
+        raise ValueError(f"{path} is not the file that this training wrote: train it again")
+    return path
+
+
+def confirm(
+    out: Path, task: str, case: str, rows: dict[str, Any], base: dict[str, Any]
+) -> dict[str, Any]:
+    """What was kept and its base on the engine, at the amplitudes of the replay, on fresh runs,
+    each of an age of its own."""
     own = {**describe_world(task), "detector": make_detector(task, case)}
     judge = Evaluator(runs=TASKS[task][1], entropy=CONFIRMED, **own)
     still = play_base(OPEN_LOOP, make_env(base["spec"], BLIND))
@@ -315,7 +367,7 @@ def confirm(task: str, case: str, rows: dict[str, Any], base: dict[str, Any]) ->
         if name != BASE and row["file"] is None:
             continue
         replayed = row["base" if name == BASE else "score"]
-        policy: Any = still if name == BASE else str(SHIPPED / row["file"])
+        policy: Any = still if name == BASE else str(find_policy(out, row))
         score = judge.score(policy, amplitude=replayed["amplitude"]["value"])
         found[name] = {
             "alarm_rate": score.alarm_rate.as_json(),
@@ -324,14 +376,14 @@ def confirm(task: str, case: str, rows: dict[str, Any], base: dict[str, Any]) ->
     return found
 
 
-def score_best_seed(rows: list[dict[str, Any]]) -> dict[str, Any] | None:
+def score_best_seed(out: Path, rows: list[dict[str, Any]]) -> dict[str, Any] | None:
     """Score on the engine, on the runs of the README's table, of the seed with statistics that got
     farthest on choice runs; None where none got farther than its base."""
     kept = [row for row in rows if row["file"] and row["knowledge"] == STATISTICS]
     if not kept:
         return None
     best = max(kept, key=lambda row: max(row["choice_m"]))
-    return score_policy(SHIPPED / best["file"], RUNS)
+    return score_policy(find_policy(out, best), RUNS)
 
 
 def list_parts(settings: Settings) -> dict[str, Part]:
@@ -340,8 +392,9 @@ def list_parts(settings: Settings) -> dict[str, Part]:
     sizes = {name: getattr(settings, name) for name in ("episodes", "checkpoints", "num_envs")}
     for task, case in product(settings.tasks, settings.detectors):
         base, trained = f"{task} {case} base", []
+        own = {"runs": TASKS[task], "of": identify(task, case)}
         find = lambda *_, t=task, c=case: find_base(settings.out, t, c)  # noqa: E731
-        parts[base] = Part({"runs": TASKS[task]}, find, work=4.0)
+        parts[base] = Part(own, find, work=4.0)
         for of, sees, seed in settings.trainings(task):
             if of != case:
                 continue
@@ -349,16 +402,16 @@ def list_parts(settings: Settings) -> dict[str, Part]:
                 settings, *x, done[b]
             )
             name = f"{task} {case} {sees} {seed}"
-            parts[name] = Part({**sizes, "runs": TASKS[task]}, make, after=(base,))
+            parts[name] = Part({**sizes, **own}, make, after=(base,))
             trained.append(name)
         check = lambda done, _, x=(task, case), b=base, of=tuple(trained): confirm(  # noqa: E731
-            *x, {name: done[name] for name in of}, done[b]
+            settings.out, *x, {name: done[name] for name in of}, done[b]
         )
-        own = {**sizes, "runs": TASKS[task], "trained": trained}
+        own = {**sizes, **own, "trained": trained}
         parts[f"{task} {case} engine"] = Part(own, check, after=(base, *trained), work=4.0)
         if task == README:
             best = lambda done, _, of=tuple(trained): score_best_seed(  # noqa: E731
-                [done[name] for name in of]
+                settings.out, [done[name] for name in of]
             )
             parts[f"{task} {case} readme"] = Part(own, best, after=tuple(trained), work=10.0)
     return parts
@@ -368,9 +421,27 @@ def play(settings: Settings, progress: ProgressBar | None = None) -> dict[str, A
     """Train what is missing; the results, JSON-able."""
     config = {"versions": learning_versions()}
     found = Records("replay-ppo", config, list_parts(settings)).play(settings.out, progress)
-    kept = json.loads(SCORES.read_text()) if SCORES.is_file() else {}
-    write_json(SCORES, {**kept, **found})
+    if settings.ship:
+        ship(settings, found)
     return found
+
+
+def ship(settings: Settings, found: dict[str, Any]) -> None:
+    """Results into docs/, beside those of other tasks and seeds, and policies into agents/."""
+    kept = json.loads(SCORES.read_text()) if SCORES.is_file() else {}
+    for name, each in found.items():
+        before = kept.get(name)
+        if name.endswith(" engine") and before:
+            if before[BASE] != each[BASE]:
+                raise ValueError(f"{name}: {SCORES.name} has a base of other runs or sizes")
+            each = {**before, **each}
+        kept[name] = each
+        if each and each.get("sha256"):
+            path = find_policy(settings.out, each)
+            SHIPPED.mkdir(exist_ok=True)
+            for part in (path, path.with_suffix(".json")):
+                shutil.copy(part, SHIPPED / part.name)
+    write_json(SCORES, kept)
 
 
 def build_table(results: dict[str, Any]) -> str:
@@ -383,7 +454,7 @@ def build_table(results: dict[str, Any]) -> str:
         rows, engine = [results[name] for name in names], results[f"{task} {case} engine"]
         gains = [max(row["choice_m"]) / row["choice_m"][0] for row in rows]
         beyond = [row for row in rows if row["file"]]
-        played = [engine[name] for name in names if name in engine]
+        played = [engine[name] for name, row in zip(names, rows, strict=True) if row["file"]]
         over = [get_metres(x) / get_metres(engine[BASE]) for x in played]
         alarms = [f"{100.0 * each['alarm_rate']['value']:.1f}" for each in (engine[BASE], *played)]
         lines.append((
@@ -391,6 +462,7 @@ def build_table(results: dict[str, Any]) -> str:
             interval(rows[0]["base"][MEASURES[0]]),
             ", ".join(f"{get_metres(row['score']):.1f}" for row in beyond) or "-",
             "; ".join(interval(row["ratio"], 2) for row in beyond) or "-",
+            "; ".join(interval(row["averaged"], 2) for row in beyond if "averaged" in row) or "-",
             ", ".join(f"{x:.2f}" for x in over) or "-",
             f"{alarms[0]}; {', '.join(alarms[1:]) or '-'}",
         ))  # fmt: skip

@@ -1,5 +1,7 @@
 """Receivers on linear replay beside those of the engine, and a training on them."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -60,7 +62,7 @@ def correct(seen):
     return np.tanh(wave)[:, None]
 
 
-@pytest.mark.parametrize("amplitude", [1.0, 1.5])
+@pytest.mark.parametrize("amplitude", [0.3, 0.5, 1.0])  # quiet, some alarms, alarms
 def test_a_policy_is_shown_and_reaches_what_it_does_on_the_engine(world, bank, course, amplitude):
     assert len(bank.sky) == RUNS  # all of them count
     env = make_env(BASE, "statistics")
@@ -79,11 +81,14 @@ def test_a_policy_is_shown_and_reaches_what_it_does_on_the_engine(world, bank, c
     generators = [world.generators(ENTROPY, "training", RUNS)[k] for k in order]
     start = WarmStart(setup, generators, threads=1, given=given)
     attacked, clean = play(start, policy), play(start, "none")
-    alarmed, moved = BankRuns(bank, course, correct).play(amplitude)
+    played = BankRuns(bank, course, correct).run(amplitude, np.arange(RUNS))
     error = induced_error(setup, attacked, clean)[: setup.steps]
     reached = undetected_displacement(error, attacked.first_alarm, setup.hold)
-    np.testing.assert_array_equal(alarmed, attacked.first_alarm > 0)
-    np.testing.assert_allclose(moved["undetected_displacement_m"], reached, rtol=0.02, atol=0.05)
+    np.testing.assert_array_equal(played.first_alarm > 0, attacked.first_alarm > 0)
+    assert np.abs(played.first_alarm - attacked.first_alarm).max() <= 1
+    assert (amplitude > 0.3) == (attacked.first_alarm > 0).any()
+    alike = played.first_alarm == attacked.first_alarm
+    np.testing.assert_allclose(played.undetected_m()[alike], reached[alike], rtol=0.02, atol=0.05)
 
 
 def test_an_open_loop_attack_is_judged_as_by_the_replay_it_was_recorded_from(world, bank, course):
@@ -100,8 +105,9 @@ def test_an_open_loop_attack_is_judged_as_by_the_replay_it_was_recorded_from(wor
     np.testing.assert_allclose(reach, expected, rtol=1e-3)
 
 
-def test_rewards_of_an_episode_are_its_undetected_displacement_and_the_price(bank, course):
-    loud = course._replace(base=np.where(np.arange(course.decisions) > 1, 1.0, 0.1))
+@pytest.mark.parametrize("size", [0.02, 1.0])
+def test_rewards_of_an_episode_are_its_undetected_displacement_and_the_price(bank, course, size):
+    loud = course._replace(base=np.where(np.arange(course.decisions) > 1, size, 0.01))
     envs = BankVecEnv(bank, loud, 4, 25.0, 1, blind=True)
     seen, paid = envs.reset(), np.zeros(4)
     assert seen.shape == (4, 4)  # without the statistic
@@ -112,9 +118,10 @@ def test_rewards_of_an_episode_are_its_undetected_displacement_and_the_price(ban
             break
     rows = envs.receivers.row  # of the episodes that follow; all runs end alike here
     alarmed, moved = BankRuns(bank, loud, correct_nothing).play(1.0)
-    assert alarmed.all()
+    assert alarmed.all() == (size > 0.5)
+    assert alarmed.any() == (size > 0.5)  # the small one comes to its end
     assert "terminal_observation" in infos[0]
-    ends = moved["undetected_displacement_m"] - 25.0
+    ends = moved["undetected_displacement_m"] - 25.0 * alarmed
     assert np.all([np.isclose(each, ends, atol=1e-3).any() for each in paid])
     assert rows.max() < RUNS
     envs.close()
@@ -130,13 +137,13 @@ def test_a_training_ships_what_acts_as_it_did_and_goes_on(tmp_path, monkeypatch,
     monkeypatch.setattr(replay_ppo, "make_detector", lambda task, case: GUARD)
     monkeypatch.setattr(replay_ppo, "describe_world", lambda task: PLACE)
     sizes = {"episodes": 64, "checkpoints": 2, "num_envs": 8, "seeds": (0,)}
-    settings = Settings(out=tmp_path / "runs", tasks=("S1",), **sizes)
+    settings = Settings(out=tmp_path / "runs", tasks=("S1",), ship=True, **sizes)
     kept = {}
     whole = replay_ppo.write_policy
 
-    def write(task, case, sees, seed, base, policy, row):
-        kept[row["seed"], sees] = policy
-        return whole(task, case, sees, seed, base, policy, row)
+    def write(out, task, case, base, policy, row):
+        kept[row["seed"], row["knowledge"]] = policy
+        return whole(out, task, case, base, policy, row)
 
     monkeypatch.setattr(replay_ppo, "write_policy", write)
     found = replay_ppo.play(settings)
@@ -147,6 +154,7 @@ def test_a_training_ships_what_acts_as_it_did_and_goes_on(tmp_path, monkeypatch,
     again = dict(found)
     monkeypatch.setattr(replay_ppo, "train", None)  # it is finished
     assert replay_ppo.play(settings) == again
+    assert json.loads((tmp_path / "scores.json").read_text()) == found
     for (seed, sees), policy in kept.items():
         blind = "-blind" if sees == "blind" else ""
         file = tmp_path / "agents" / f"s1-own-filter{blind}-{seed}.onnx"
@@ -157,6 +165,32 @@ def test_a_training_ships_what_acts_as_it_did_and_goes_on(tmp_path, monkeypatch,
         expected = policy.act(seen[:, columns])
         np.testing.assert_allclose(shipped.model.act(seen), expected, atol=1e-5)
         assert shipped.card.training["decided_on"] == [[replay_ppo.LEARNING, "training"]]
+
+
+def test_a_file_that_another_training_wrote_is_refused(tmp_path):
+    path = tmp_path / replay_ppo.POLICIES / "s1-own-filter-0.onnx"
+    path.parent.mkdir()
+    path.write_bytes(b"another")
+    with pytest.raises(ValueError, match="is not the file that this training wrote"):
+        replay_ppo.find_policy(tmp_path, {"file": path.name, "sha256": "0" * 64})
+
+
+def test_what_ships_is_what_is_stored():
+    stored = json.loads(replay_ppo.SCORES.read_text())
+    rows = [each for each in stored.values() if each and each.get("sha256")]
+    shipped = {path.name for path in replay_ppo.SHIPPED.glob("*.onnx")}
+    assert shipped == {row["file"] for row in rows}
+    for row in rows:
+        path = replay_ppo.SHIPPED / row["file"]
+        card = OnnxPolicy(str(path)).card
+        assert replay_ppo.compute_file_digest(path) == row["sha256"] == card.file.sha256
+        assert card.training["choice_m"] == row["choice_m"]
+        assert card.training["decided_on"] == [[replay_ppo.LEARNING, replay_ppo.TRAINED]]
+        assert row["ratio"]["high"] >= 0.97  # its interval does not lie below
+    averaged = [
+        row["averaged"]["value"] / row["ratio"]["value"] for row in rows if "averaged" in row
+    ]
+    assert max(averaged) < 1.0  # without its own run's statistic each gets less far
 
 
 def test_the_plan_says_what_is_trained_and_bad_names_what_is_valid():
