@@ -136,6 +136,8 @@ def test_a_training_ships_what_acts_as_it_did_and_goes_on(tmp_path, monkeypatch,
     monkeypatch.setattr(replay_ppo, "make_world", lambda task: world)
     monkeypatch.setattr(replay_ppo, "make_detector", lambda task, case: GUARD)
     monkeypatch.setattr(replay_ppo, "describe_world", lambda task: PLACE)
+    scored = {"score": {}, "runs": 64}
+    monkeypatch.setattr(replay_ppo, "score_policy", lambda path, runs: scored)
     sizes = {"episodes": 64, "checkpoints": 2, "num_envs": 8, "seeds": (0,)}
     settings = Settings(out=tmp_path / "runs", tasks=("S1",), ship=True, **sizes)
     kept = {}
