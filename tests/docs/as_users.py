@@ -66,6 +66,7 @@ SMALLER: dict[str, tuple[str | None, str]] = {
     r"python -m train\.ppo_detector ": ("--steps 400 --runs 19 --seeds 1", "minutes a seed"),
     r"python -m train\.ppo_cuda ": (None, "needs a GPU; tests/train plays it on the processor"),
     r"spoofgym \w+ --device cuda": (None, "needs a GPU; tests/bench plays them by a simulator"),
+    r"python -m train\.(offsets|replay)_ppo ": ("--list", "an hour; tests/train plays them"),
     r"python -m train\.spoofers ": (None, "180 trainings; tests/train plays it small"),
     r"python -m tools\.refits ": (None, "hours; tests/tools plays it small"),
     r"python -m tools\.task_cards ": (None, "hours; tests/tools plays it small"),
