@@ -71,6 +71,10 @@ SMALLER: dict[str, tuple[str | None, str]] = {
     r"python -m tools\.refits ": (None, "hours; tests/tools plays it small"),
     r"python -m tools\.task_cards ": (None, "hours; tests/tools plays it small"),
     r"python -m tools\.detector_cards ": (None, "over an hour; tests/tools plays it small"),
+    r"spoofgym bench --budget quick --detector cumulative-": (
+        ELSEWHERE,
+        "rows of a table: the audit before it has taken the default folder",
+    ),
     r"spoofgym bench --detector all ": (
         f"--detector ewma {CAMPAIGN} {ELSEWHERE}",
         "1000 runs against every detector",
