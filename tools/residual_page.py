@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from agents.folder import write_json
@@ -29,7 +30,7 @@ OFFSETS, LEARNED = marks("offsets-learned"), "learned"
 def take(results: dict[str, Any], kept: dict[str, Any]) -> dict[str, Any]:
     """Results with those that are kept, by detector and row; of other sizes they are refused."""
     before = kept.get("detectors", {})
-    check_sizes(results, kept, ("steps", "runs", "world"))
+    check_sizes(results, kept, ("steps", "runs", "world"), DATA_FILE)
     for detector, found in results["detectors"].items():
         rows = before.get(detector, {}).get("rows", {})
         before[detector] = {**found, "rows": {**rows, **found["rows"]}}
@@ -38,13 +39,15 @@ def take(results: dict[str, Any], kept: dict[str, Any]) -> dict[str, Any]:
 
 def take_offsets(results: dict[str, Any], kept: dict[str, Any]) -> dict[str, Any]:
     """As `take`, by case and detector."""
-    check_sizes(results, kept, ("steps", "runs", "entropy", "world"))
+    check_sizes(results, kept, ("steps", "runs", "entropy", "world"), offsets_worth.DATA_FILE)
     return {**results, "cases": kept.get("cases", {}) | results["cases"]}
 
 
-def check_sizes(results: dict[str, Any], kept: dict[str, Any], sizes: Sequence[str]) -> None:
+def check_sizes(
+    results: dict[str, Any], kept: dict[str, Any], sizes: Sequence[str], file: Path
+) -> None:
     if differing := [x for x in sizes if kept and kept[x] != results[x]]:
-        raise ValueError(f"what is kept has other {', '.join(differing)}")
+        raise ValueError(f"{file.name} has results of other {', '.join(differing)}")
 
 
 def main() -> None:

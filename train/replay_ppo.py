@@ -23,7 +23,7 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -130,10 +130,6 @@ def make_world(task: str) -> World:
     return World.of(task)
 
 
-def describe_world(task: str) -> dict[str, Any]:
-    return get_task(task).world_kwargs
-
-
 @cache
 def identify(task: str, case: str) -> str:
     """Digest of a world, its detector and the thresholds that this has there."""
@@ -215,12 +211,16 @@ def find_spread(bank: Bank, course: Course) -> dict[str, Any]:
     shares = {"base": float(BankRuns(probe, course, correct_nothing).play(1.0)[0].mean())}
     for log_std in LOG_STDS:
         model = make_model(probe, course, False, 0.0, 0, len(probe.sky), log_std)
-        model.policy.reset_noise(len(probe.sky))
-        draw = lambda seen, x=model: x.predict(seen)[0]  # noqa: E731
-        shares[f"{log_std:g}"] = float(BankRuns(probe, course, draw).play(1.0)[0].mean())
-        if shares[f"{log_std:g}"] <= shares["base"] + 0.5 * BUDGET:
+        share = shares[f"{log_std:g}"] = explore(probe, course, model)
+        if share <= shares["base"] + 0.5 * BUDGET:
             break
     return {"log_std": log_std, "explored_alarms": shares}
+
+
+def explore(bank: Bank, course: Course, model: PPO) -> float:
+    """Share of runs that alarm while a model explores."""
+    model.policy.reset_noise(len(bank.sky))
+    return float(BankRuns(bank, course, lambda seen: model.predict(seen)[0]).play(1.0)[0].mean())
 
 
 def make_model(
@@ -254,9 +254,9 @@ class Narrowed(torch.nn.Module):
         self.columns = [names.index(name) for name in SEEN[:count]]
         self.body = copy.deepcopy(policy.mlp_extractor.policy_net)
         self.head, self.clip = copy.deepcopy(policy.action_net), float(norm.clip_obs)
-        as_tensor = lambda x: torch.as_tensor(np.asarray(x), dtype=torch.float32)  # noqa: E731
-        self.register_buffer("mean", as_tensor(norm.obs_rms.mean))
-        self.register_buffer("scale", as_tensor(np.sqrt(norm.obs_rms.var + norm.epsilon)))
+        scale = np.sqrt(norm.obs_rms.var + norm.epsilon)
+        for name, values in (("mean", norm.obs_rms.mean), ("scale", scale)):
+            self.register_buffer(name, torch.as_tensor(values, dtype=torch.float32))
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
         scaled = (seen[:, self.columns] - self.mean) / self.scale
@@ -289,8 +289,8 @@ def train(
     row |= {"steps": model.num_timesteps, "choice_m": reached, "checkpoint": best}
     row |= {"diverged": why, "file": None}
     final = open_bank(settings.out, task, case, FINAL, TASKS[task][1])
-    own = trace(final, course, policies[best - 1].act) if best else trace(final, course)
     other = trace(final, course)
+    own = trace(final, course, policies[best - 1].act) if best else other
     row |= {"score": get_score(own), "base": get_score(other)}
     row["ratio"] = ratio_at_budget(own, other, BUDGET).as_json()
     if best:
@@ -331,7 +331,7 @@ def write_policy(
 ) -> Path:
     """File and card of what was kept."""
     env = {**make_env(base["spec"], row["knowledge"]), "detector": make_detector(task, case)}
-    shown = SpoofVecEnv(1, **{**describe_world(task), **env})
+    shown = SpoofVecEnv(1, **{**make_world(task).settings, **env})
     actor = copy.deepcopy(policy)
     names = shown.observation_names
     actor.columns = [names.index(name) for name in SEEN[: len(policy.columns)]]
@@ -359,7 +359,7 @@ def confirm(
 ) -> dict[str, Any]:
     """What was kept and its base on the engine, at the amplitudes of the replay, on fresh runs,
     each of an age of its own."""
-    own = {**describe_world(task), "detector": make_detector(task, case)}
+    own = {**make_world(task).settings, "detector": make_detector(task, case)}
     judge = Evaluator(runs=TASKS[task][1], entropy=CONFIRMED, **own)
     still = play_base(OPEN_LOOP, make_env(base["spec"], BLIND))
     found = {}
@@ -389,31 +389,42 @@ def score_best_seed(out: Path, rows: list[dict[str, Any]]) -> dict[str, Any] | N
 def list_parts(settings: Settings) -> dict[str, Part]:
     """Bases, trainings and confirmations, in their order."""
     parts: dict[str, Part] = {}
-    sizes = {name: getattr(settings, name) for name in ("episodes", "checkpoints", "num_envs")}
     for task, case in product(settings.tasks, settings.detectors):
-        base, trained = f"{task} {case} base", []
-        own = {"runs": TASKS[task], "of": identify(task, case)}
-        find = lambda *_, t=task, c=case: find_base(settings.out, t, c)  # noqa: E731
-        parts[base] = Part(own, find, work=4.0)
-        for of, sees, seed in settings.trainings(task):
-            if of != case:
-                continue
-            make = lambda done, _, x=(task, case, sees, seed), b=base: train(  # noqa: E731
-                settings, *x, done[b]
-            )
-            name = f"{task} {case} {sees} {seed}"
-            parts[name] = Part({**sizes, **own}, make, after=(base,))
-            trained.append(name)
-        check = lambda done, _, x=(task, case), b=base, of=tuple(trained): confirm(  # noqa: E731
-            settings.out, *x, {name: done[name] for name in of}, done[b]
-        )
-        own = {**sizes, **own, "trained": trained}
-        parts[f"{task} {case} engine"] = Part(own, check, after=(base, *trained), work=4.0)
-        if task == README:
-            best = lambda done, _, of=tuple(trained): score_best_seed(  # noqa: E731
-                settings.out, [done[name] for name in of]
-            )
-            parts[f"{task} {case} readme"] = Part(own, best, after=tuple(trained), work=10.0)
+        parts |= list_case(settings, task, case)
+    return parts
+
+
+def list_case(settings: Settings, task: str, case: str) -> dict[str, Part]:
+    """Those of one detector in one task."""
+    out, base = settings.out, f"{task} {case} base"
+    sizes = {name: getattr(settings, name) for name in ("episodes", "checkpoints", "num_envs")}
+    own = {"runs": TASKS[task], "of": identify(task, case)}
+    trainings = {
+        f"{task} {case} {sees} {seed}": (sees, seed)
+        for of, sees, seed in settings.trainings(task)
+        if of == case
+    }
+    names = tuple(trainings)
+
+    def find(*_: Any) -> dict[str, Any]:
+        return find_base(out, task, case)
+
+    def train_one(sees: str, seed: int, done: dict[str, Any], _: Any) -> dict[str, Any]:
+        return train(settings, task, case, sees, seed, done[base])
+
+    def check(done: dict[str, Any], _: Any) -> dict[str, Any]:
+        return confirm(out, task, case, {name: done[name] for name in names}, done[base])
+
+    def score(done: dict[str, Any], _: Any) -> dict[str, Any] | None:
+        return score_best_seed(out, [done[name] for name in names])
+
+    parts = {base: Part(own, find, work=4.0)}
+    for name, each in trainings.items():
+        parts[name] = Part({**sizes, **own}, partial(train_one, *each), after=(base,))
+    whole = {**sizes, **own, "trained": [*names]}
+    parts[f"{task} {case} engine"] = Part(whole, check, after=(base, *names), work=4.0)
+    if task == README:
+        parts[f"{task} {case} readme"] = Part(whole, score, after=names, work=10.0)
     return parts
 
 

@@ -125,7 +125,7 @@ class Detector(ABC):
     paper : str
         Key in references.bib; a detector from outside the package needs none.
     needs : frozenset of str
-        Optional fields of `Epoch` that it reads; a field that no `needs` lists is None.
+        Optional fields of `Epoch` that it reads; a field is None unless listed in `needs`.
     scope : {"channel", "receiver"}
         Whether it judges every channel, c = n (every coordinate of a position, c = m), or the
         receiver as a whole, c = 1.

@@ -135,7 +135,6 @@ def test_a_training_ships_what_acts_as_it_did_and_goes_on(tmp_path, monkeypatch,
     monkeypatch.setattr(replay_ppo, "LONG", QUICK)
     monkeypatch.setattr(replay_ppo, "make_world", lambda task: world)
     monkeypatch.setattr(replay_ppo, "make_detector", lambda task, case: GUARD)
-    monkeypatch.setattr(replay_ppo, "describe_world", lambda task: PLACE)
     scored = {"score": {}, "runs": 64}
     monkeypatch.setattr(replay_ppo, "score_policy", lambda path, runs: scored)
     sizes = {"episodes": 64, "checkpoints": 2, "num_envs": 8, "seeds": (0,)}
