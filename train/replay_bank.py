@@ -34,6 +34,7 @@ Policy = Callable[[NDArray[np.float32]], NDArray[Any]]
 """Corrections (B, 1) by what is seen (B, o)."""
 AT_ONCE = 64
 """Runs that are recorded together: their filters' matrices are some 10 kB a run and epoch."""
+SHARING = 256  # runs that share the starts and ages of their skies; others have their own
 SEARCHED = 600  # epochs of an attack that a search judges, about
 SEEN = (
     *("own_displacement_along_target", "own_rate_along_target"),
@@ -50,7 +51,8 @@ class Bank(NamedTuple):
 
     - `clean` (N, K, 2 J) whitened separations of J solutions, in units of the threshold's root;
     - `units` (G, K, 2 J, D) their change by 1 m/s of each decision; `moved` (G, K, 2, D) that of
-      the position [m]; `group`, `sky` (N,) of the runs.
+      the position [m]; `group`, `sky` (N,) of the runs;
+    - `onset_ratio` (N,) the statistic over its threshold at the last epoch before the onset.
     """
 
     clean: NDArray[np.float32]
@@ -58,24 +60,35 @@ class Bank(NamedTuple):
     moved: NDArray[np.float32]
     group: NDArray[np.intp]
     sky: NDArray[np.int64]
+    onset_ratio: NDArray[np.float32]
 
     def take(self, rows: NDArray[Any]) -> Self:
         """Some of its runs."""
-        kept = {"clean": self.clean[rows], "group": self.group[rows], "sky": self.sky[rows]}
-        return self._replace(**kept)
+        each = {name: getattr(self, name)[rows] for name in ("clean", "group", "sky")}
+        return self._replace(**each, onset_ratio=self.onset_ratio[rows])
+
+
+def draw_circumstances(setup: Setup, entropy: int, runs: int) -> dict[str, NDArray[Any]]:
+    """World, start and age of runs: one start and age a sky for `SHARING` of them."""
+    some = [min(SHARING, runs - first) for first in range(0, runs, SHARING)]
+    drawn = [share_skies(setup, 1000 * entropy + k, count) for k, count in enumerate(some)]
+    return {name: np.concatenate([each[name] for each in drawn]) for name in drawn[0]}
 
 
 def record_bank(
     world: World, detector: Mapping[str, Any], split: str, entropy: int, runs: int
 ) -> Bank:
-    """Runs of a split that count, those of a sky with one start and age, a few skies at a time."""
+    """Runs of a split that count, by age, a few circumstances at a time."""
     setup = world.setup
-    given = share_skies(setup, entropy, runs)
-    order = np.argsort(given["world"], kind="stable")
+    given = draw_circumstances(setup, entropy, runs)
+    kinds = np.stack([given[name] for name in ("age_s", "start_s", "world")])
+    circumstance = np.unique(kinds, axis=1, return_inverse=True)[1].ravel()
+    order, count = np.argsort(circumstance, kind="stable"), int(circumstance.max()) + 1
     parts, groups = [], 0
-    for rows in np.array_split(order, -(-runs // AT_ONCE)):
+    for few in np.array_split(np.arange(count), min(-(-runs // AT_ONCE), count)):
+        rows = order[np.isin(circumstance[order], few)]
         seeds = seeds_of_runs(entropy, split, setup.name, rows.tolist())
-        own = {name: np.asarray(values)[rows] for name, values in given.items()}
+        own = {name: values[rows] for name, values in given.items()}
         judge = world.judge(specify_detector(dict(detector)))
         replay = Replay(check_linear_victim(setup), [judge], seeds, threads=1, given=own)
         if replay.hats.shape[1] != replay.steps:
@@ -94,6 +107,7 @@ def record_bank(
             replay.respond_positions(first).astype(np.float32),
             found.group + groups,
             replay.sky,
+            replay.onset_ratio[0].astype(np.float32),
         ).take(counts)
         parts.append(own_bank)
         groups += len(first)
@@ -144,8 +158,8 @@ class Receivers:
         self.amplitude = np.ones(count)
 
     def start(self, which: NDArray[np.intp], rows: NDArray[np.intp]) -> None:
-        self.row[which] = rows
-        for state in (self.at, self.rate, self.moved, self.action, self.ratio):
+        self.row[which], self.ratio[which] = rows, self.bank.onset_ratio[rows]
+        for state in (self.at, self.rate, self.moved, self.action):
             state[which] = 0
         self.rates[which], self.farthest[which], self.first_alarm[which] = 0.0, 0.0, 0
 
@@ -258,7 +272,7 @@ class BankRuns:
         return played.first_alarm > 0, {MEASURES[0]: played.undetected_m()}
 
     def sift(self, values: Sequence[float], count: int) -> Mask:
-        rows = np.arange(min(count, len(self.sky)))
+        rows = np.arange(0, len(self.sky), max(len(self.sky) // max(count, 1), 1))
         return np.array([self.run(value, rows).first_alarm > 0 for value in values])
 
     def alarms(self, values: FloatArray, rows: NDArray[np.intp]) -> Mask:

@@ -72,12 +72,12 @@ from .suite_ppo import Settings as OfSuite
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED, SCORES = ROOT / "agents" / "replay", ROOT / "docs" / "learned_replay.json"
 BLIND, STATISTICS = KNOWLEDGE
-TASKS = {"S1": (768, 256, 0.7), "S2": (480, 256, 1.0), "S3": (384, 128, 1.5)}
+TASKS = {"S1": (1536, 512, 0.9), "S2": (768, 256, 1.2), "S3": (384, 128, 1.5)}
 """Runs to learn and to choose on, a third of them to choose; runs of scores; CPU hours of the runs
 and of five seeds, roughly."""
 FILTERS = {"own-filter": True, "same-filter": False}
 """Whether the task's solution separation has its filter, or works on that of the victim."""
-RECORDING = 1
+RECORDING = 2
 """Of banks: another one where `record_bank` records something else."""
 LEARNING, FINAL, CONFIRMED = 5, 7, 8
 """Entropy of the runs that are learned and chosen on, of those of scores, and of the engine's."""
@@ -157,9 +157,9 @@ def open_bank(out: Path, task: str, case: str, entropy: int, runs: int) -> Bank:
 
 
 def split_bank(out: Path, task: str, case: str) -> tuple[Bank, Bank]:
-    """Runs to learn on, and every third, to choose on."""
+    """Runs to learn on, and those of every third sky, start and age, to choose on."""
     bank = open_bank(out, task, case, LEARNING, TASKS[task][0])
-    chosen = np.arange(len(bank.sky)) % 3 == 0
+    chosen = bank.group % 3 == 0
     return bank.take(~chosen), bank.take(chosen)
 
 
@@ -218,9 +218,20 @@ def find_spread(bank: Bank, course: Course) -> dict[str, Any]:
 
 
 def explore(bank: Bank, course: Course, model: PPO) -> float:
-    """Share of runs that alarm while a model explores."""
+    """Share of runs that alarm while a model explores, with what is seen normalized."""
+    norm = model.get_vec_normalize_env()
+    assert norm is not None  # as of `make_model`
+
+    def watch(seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        norm.obs_rms.update(seen)
+        return correct_nothing(seen)
+
+    def act(seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        return model.predict(norm.normalize_obs(seen))[0]
+
+    BankRuns(bank, course, watch).play(1.0)
     model.policy.reset_noise(len(bank.sky))
-    return float(BankRuns(bank, course, lambda seen: model.predict(seen)[0]).play(1.0)[0].mean())
+    return float(BankRuns(bank, course, act).play(1.0)[0].mean())
 
 
 def make_model(

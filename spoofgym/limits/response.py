@@ -32,7 +32,7 @@ from ..detectors.calibrated import unwrap
 from ..receiver.epoch import ALWAYS, Epoch
 from ..simulation._kernels import turn
 from ..simulation.engine import available_threads
-from ..simulation.monitors import Monitored, PassiveDetectors
+from ..simulation.monitors import PassiveDetectors
 from ..simulation.setup import make_generators
 from ..simulation.tight import TightlyCoupledSetup
 from .linear import (
@@ -127,11 +127,7 @@ def unpack_symmetric(triangles: NDArray[np.float32]) -> NDArray[np.float32]:
 class _Watch(PassiveDetectors):
     """Detectors that are to be replayed, over the warm-up."""
 
-    def update(self, simulator: Monitored) -> None:
-        for k, detector in enumerate(self.detectors):
-            self.memory["alarmed"][:, k] |= judge_passive(detector, simulator.epoch).alarm.any(
-                axis=1
-            )
+    judge = staticmethod(judge_passive)
 
 
 class LinearReplay:
@@ -382,8 +378,10 @@ class Replay(LinearReplay):
     ----------
     runs, epochs : int
         N, and K, from the onset to the end of the time to alert.
-    warmup_alarm, twin_alarm : ndarray
-        (D, N) bool, alarms before the onset, and epoch of the first alarm after it, without attack.
+    warmup_alarm : ndarray
+        (D, N) bool, alarms before the onset.
+    onset_ratio : ndarray
+        (D, N) largest statistics over thresholds at the last epoch before the onset.
 
     Raises
     ------
@@ -421,6 +419,7 @@ class Replay(LinearReplay):
         self._context = simulator._context()
         watch = simulator.monitor(_Watch)
         self.detectors, self.warmup_alarm = watch.detectors, watch.memory["alarmed"].T.copy()
+        self.onset_ratio = watch.memory["ratio"].T.copy()
         self.onset, self.heading = simulator.onset.copy(), simulator.heading.copy()
         self.first = simulator.memory["first"].copy()
         self.sky = self.onset // world.epochs_each

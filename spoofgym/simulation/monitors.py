@@ -132,6 +132,8 @@ class PassiveDetectors(Monitor):
     where it is not alone; `memory`: ``alarmed`` (B, w) bool, whether each has alarmed since it was
     last set to False; ``ratio`` (B, w) largest statistic over threshold at the last epoch."""
 
+    judge = staticmethod(judge_epoch)
+
     def __init__(self, detectors: Sequence[Detector]) -> None:
         self.detectors = [copy.deepcopy(detector) for detector in detectors]
         self.names = name_detectors(self.detectors)
@@ -154,7 +156,7 @@ class PassiveDetectors(Monitor):
     def update(self, simulator: Monitored) -> None:
         alarmed, ratio = self.memory["alarmed"], self.memory["ratio"]
         for k, detector in enumerate(self.detectors):
-            verdict = judge_epoch(detector, simulator.epoch)
+            verdict = self.judge(detector, simulator.epoch)
             alarmed[:, k] |= verdict.alarm.any(axis=1)
             ratio[:, k] = (verdict.statistic / verdict.threshold).max(axis=1)
 

@@ -14,13 +14,23 @@ from spoofgym.bench.runs.play import WarmStart, induced_error, make_bound_spoofe
 from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.runs.record import undetected_displacement
 from spoofgym.bench.runs.world import World
-from spoofgym.bench.search.open_loop import QUICK, share_skies
+from spoofgym.bench.search.open_loop import QUICK
 from spoofgym.limits.response import Replay
 from spoofgym.simulation.setup import seeds_of_runs
 from spoofgym.spoofers.learned import ModelPolicy, OnnxPolicy
 from spoofgym.spoofers.scaled import Scaled
 from train import replay_ppo
-from train.replay_bank import SEEN, Bank, BankBackend, BankRuns, BankVecEnv, Course, record_bank
+from train.replay_bank import (
+    SEEN,
+    Bank,
+    BankBackend,
+    BankRuns,
+    BankVecEnv,
+    Course,
+    Receivers,
+    draw_circumstances,
+    record_bank,
+)
 from train.replay_ppo import Settings, build_table, correct_nothing, list_plan
 from train.suite_ppo import make_env
 
@@ -56,6 +66,12 @@ def course(world):
     return Course.of(world.setup, make_env(BASE, "statistics")["action"])
 
 
+def draw_recorded(setup):
+    """Circumstances of the runs, and their order in the bank."""
+    given = draw_circumstances(setup, ENTROPY, RUNS)
+    return given, np.lexsort((given["world"], given["start_s"], given["age_s"]))
+
+
 def correct(seen):
     """A correction that depends on all that is seen."""
     wave = 3.0 * seen[:, 0] - seen[:, 1] + np.sin(9.0 * seen[:, 2]) + 2.0 * seen[:, 4]
@@ -66,24 +82,29 @@ def correct(seen):
 def test_a_policy_is_shown_and_reaches_what_it_does_on_the_engine(world, bank, course, amplitude):
     assert len(bank.sky) == RUNS  # all of them count
     env = make_env(BASE, "statistics")
-    columns = None
+    columns, shown = None, []
 
     def act(seen):
-        return correct(seen[:, columns])
+        shown.append(seen[:, columns])
+        return correct(shown[-1])
 
     policy = Scaled(ModelPolicy(act, label="wave", **env), amplitude)
     entry = specify_detector(GUARD)
     setup = world.build_setup(entry)
     names = make_bound_spoofer(policy, setup, 1)[1].names
     columns = [names.index(name) for name in SEEN]
-    order = np.argsort(share_skies(setup, ENTROPY, RUNS)["world"], kind="stable")
-    given = {k: np.asarray(x)[order] for k, x in share_skies(setup, ENTROPY, RUNS).items()}
+    given, order = draw_recorded(setup)
+    given = {name: values[order] for name, values in given.items()}
     generators = [world.generators(ENTROPY, "training", RUNS)[k] for k in order]
     start = WarmStart(setup, generators, threads=1, given=given)
     attacked, clean = play(start, policy), play(start, "none")
     played = BankRuns(bank, course, correct).run(amplitude, np.arange(RUNS))
     error = induced_error(setup, attacked, clean)[: setup.steps]
     reached = undetected_displacement(error, attacked.first_alarm, setup.hold)
+    first = Receivers(bank, course, RUNS)
+    first.start(np.arange(RUNS), np.arange(RUNS))
+    np.testing.assert_allclose(first.observe(), shown[0], rtol=1e-4, atol=1e-6)
+    assert (shown[0][:, -1] > 0.0).all()  # as at the end of the warm-up
     np.testing.assert_array_equal(played.first_alarm > 0, attacked.first_alarm > 0)
     assert np.abs(played.first_alarm - attacked.first_alarm).max() <= 1
     assert (amplitude > 0.3) == (attacked.first_alarm > 0).any()
@@ -93,13 +114,12 @@ def test_a_policy_is_shown_and_reaches_what_it_does_on_the_engine(world, bank, c
 
 def test_an_open_loop_attack_is_judged_as_by_the_replay_it_was_recorded_from(world, bank, course):
     setup = world.setup
-    given = share_skies(setup, ENTROPY, RUNS)
+    given, order = draw_recorded(setup)
     seeds = seeds_of_runs(ENTROPY, "training", setup.name, range(RUNS))
     replay = Replay(setup, [world.judge(specify_detector(GUARD))], seeds, threads=1, given=given)
     curves = np.array([np.linspace(0.1, 0.6, 10), np.linspace(0.5, -0.5, 10) ** 2])
     found = replay.play(0, curves)
     peak, reach = BankBackend(bank, course).play(curves, np.arange(RUNS))
-    order = np.argsort(given["world"], kind="stable")
     np.testing.assert_allclose(peak, found.peak[:, order], rtol=1e-3)
     expected = found.error[: replay.attack_epochs].max(axis=0).mean(axis=1)
     np.testing.assert_allclose(reach, expected, rtol=1e-3)
@@ -209,5 +229,7 @@ def test_the_plan_says_what_is_trained_and_bad_names_what_is_valid():
 def test_a_bank_keeps_the_runs_that_are_taken():
     empty = np.zeros((3, 2, 2), dtype=np.float32)
     units, moved = np.zeros((1, 2, 2, 1)), np.zeros((1, 2, 2, 1))
-    bank = Bank(empty, units, moved, np.zeros(3, dtype=int), np.arange(3))
-    assert bank.take(np.array([True, False, True])).sky.tolist() == [0, 2]
+    bank = Bank(empty, units, moved, np.zeros(3, dtype=int), np.arange(3), np.arange(3) / 4)
+    some = bank.take(np.array([True, False, True]))
+    assert some.sky.tolist() == [0, 2]
+    assert some.onset_ratio.tolist() == [0.0, 0.5]
