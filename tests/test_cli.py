@@ -71,7 +71,7 @@ def test_list_names_all_there_is_and_marks_oracles(monkeypatch):
     assert "acceleration_limit_mps2 0.05 m/s^2 a number above 0" in table
     assert {*names["detectors"]} == {*DETECTORS}
     assert {*names["spoofers"]} == {*SPOOFERS}
-    assert [*names["shipped"]] == [*list_shipped("spoofer")]
+    assert [*names["shipped"]] == [*list_shipped("spoofer"), *list_shipped("detector")]
     assert all(row["summary"] for rows in found.values() for row in rows)
     ramp = {"settings": {"heading_deg": 90.0, "rate_mps": 0.5}, "tunable": "rate_mps"}
     assert names["spoofers"]["ramp"].items() >= {**ramp, "knowledge": "blind"}.items()

@@ -25,11 +25,12 @@ from spoofgym.detectors import Calibration, Detector
 from spoofgym.detectors.calibrated import describe_identity
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, load_stored
 from spoofgym.envs import attach
-from spoofgym.policies import SpooferCard, list_shipped, load_card
+from spoofgym.policies import DetectorCard, SpooferCard, list_shipped, load_card
 from spoofgym.simulation.setup import Timeline
+from spoofgym.tasks import get_task
 from tools.calibrations import WORLDS, list_detectors
 
-SHIPPED_FILES = 215
+SHIPPED_FILES = 216
 REPLAYED = 1
 """Witnesses of each calibration that are played again here; `make test-nightly` plays all."""
 SLOW = {
@@ -41,6 +42,7 @@ SLOW = {
 """Folders of worlds that take a minute or more to make."""
 QUICK = [world for world in WORLDS if world not in SLOW]
 NETWORKS = {
+    "policies/zoo/window-guard": "c21a84d3f0d33ed8",
     "policies/zoo/ewma-ppo": "b828df12b2c955a9",
     "policies/zoo/hidden-pool-ppo": "54ad560b6bd39705",
     "policies/zoo/snapshot-chi2-ppo": "22d458821e397451",
@@ -61,7 +63,7 @@ def shipped_of(world: str) -> list[tuple[Calibration, Detector]]:
     setup = setup_of(world)
     return [
         (found, each)
-        for each in inner_detectors(list_detectors(world, setup))
+        for each in inner_detectors([*list_detectors(world, setup), *list_shipped("detector")])
         for rescaled in (False, True)[: 1 + each.drifts]
         for found in load_stored(
             setup.conditions, describe_identity(each), rescaled, SHIPPED_FOLDER
@@ -100,10 +102,15 @@ def test_shipped_networks_are_unchanged():
 
 @pytest.mark.parametrize("name", list_shipped())
 def test_what_is_shipped_meets_the_world_of_its_card(name):
-    card = load_card(name, SpooferCard)
-    profile = {} if card.file else {"action": "full-command"}
-    env = gym.make(card.env_id, **{**profile, **card.env_kwargs})
-    attach(name, env)
+    if name in list_shipped("spoofer"):
+        card = load_card(name, SpooferCard)
+        profile = {} if card.file else {"action": "full-command"}
+        env = gym.make(card.env_id, **{**profile, **card.env_kwargs})
+        attach(name, env)
+    else:
+        task = get_task(load_card(name, DetectorCard).training["task"])
+        env = gym.make(task.env_id, **{**task.env_kwargs, "detector": name})
+        assert env.unwrapped.core.setup.detector.detector.label == name
     env.close()
 
 

@@ -23,7 +23,7 @@ from spoofgym.bench.runs.world import World
 from spoofgym.bench.search.open_loop import share_skies
 from spoofgym.limits.floor import check_linear_victim
 from spoofgym.limits.linear import get_rate_limits
-from spoofgym.limits.response import HATS, Replay
+from spoofgym.limits.response import HATS, LinearBank, Replay
 from spoofgym.simulation.setup import Setup, seeds_of_runs
 from spoofgym.spoofers.learned import ModelPolicy
 from spoofgym.spoofers.scaled import LARGEST, SMALLEST
@@ -230,24 +230,27 @@ class BankBackend:
     sums = True
 
     def __init__(self, bank: Bank, course: Course) -> None:
-        self.bank, self.runs, self.steps = bank, len(bank.sky), course.decisions
+        self.runs, self.steps = len(bank.sky), course.decisions
         self.limits = course.limit_mps, course.change_mps
-        self.attack_epochs = course.decisions * course.repeat
-        self.every = max(bank.clean.shape[1] // SEARCHED, 1)
+        every = max(bank.clean.shape[1] // SEARCHED, 1)
+        attack_epochs = course.decisions * course.repeat
+        self.moved = bank.moved[:, :attack_epochs:every]
+        clean, units = bank.clean[:, ::every], bank.units[:, ::every]
+        self.judged = LinearBank(
+            clean.reshape(*clean.shape[:2], -1, 2),
+            units.reshape(len(units), -1, course.decisions),
+            bank.group,
+        )
 
     def play(self, curves: FloatArray, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
         """(P, r) largest ratios of curves (P, D), and (P,) how far they get in the mean [m]."""
-        peak, reach = np.zeros((2, len(curves), len(rows)))
-        rates = curves.T.astype(np.float32)
-        for group in np.unique(self.bank.group[rows]).tolist():
-            mine = np.flatnonzero(self.bank.group[rows] == group)
-            apart = self.bank.units[group, :: self.every] @ rates  # (K, 2 J, P)
-            for k in mine.tolist():
-                square = np.square(apart + self.bank.clean[rows[k], :: self.every, :, None])
-                peak[:, k] = (square[:, 0::2] + square[:, 1::2]).max(axis=(0, 1))
-            moved = self.bank.moved[group, : self.attack_epochs : self.every] @ rates
-            reach[:, mine] = np.hypot(moved[:, 0], moved[:, 1]).max(axis=0)[:, None]
-        return peak, reach.mean(axis=1)
+        peak = np.zeros((len(curves), len(rows)))
+        for at, ratio in self.judged.judge(curves.T, rows):
+            peak[:, at] = ratio.max(axis=0)
+        groups, count = np.unique(self.judged.group[rows], return_counts=True)
+        moved = self.moved[groups] @ curves.T.astype(np.float32)  # (G, K, 2, P)
+        reach = np.hypot(moved[:, :, 0], moved[:, :, 1]).max(axis=1)
+        return peak, np.average(reach, axis=0, weights=count)
 
 
 class BankRuns:

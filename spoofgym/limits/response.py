@@ -81,6 +81,20 @@ class LinearBank(NamedTuple):
     units: NDArray[np.float32]
     group: NDArray[np.intp]
 
+    def judge(
+        self, attacks: FloatArray, rows: NDArray[np.intp], scale: FloatArray | None = None
+    ) -> Iterator[tuple[int, NDArray[np.float32]]]:
+        """For each run in `rows` (r,), where it stands there, and its (K, P) largest squares under
+        attacks (Q, P), times the run's `scale` (r,)."""
+        coefficients = attacks.astype(np.float32)
+        for group in np.unique(self.group[rows]).tolist():
+            moved = self.units[group] @ coefficients
+            moved = moved.reshape(*self.clean.shape[1:], -1)  # (K, J, 2, P)
+            for at in np.flatnonzero(self.group[rows] == group).tolist():
+                own = moved if scale is None else moved * np.float32(scale[at])
+                own = own + self.clean[rows[at]][..., None]
+                yield at, np.square(own).sum(axis=2).max(axis=1)
+
 
 class NotReplayable(ValueError):
     """A detector or an attack whose response is not linear."""
@@ -226,14 +240,10 @@ class LinearReplay:
     def _play_bank(
         self, number: int, rates: FloatArray, rows: NDArray[np.intp], scale: FloatArray
     ) -> Replayed:
-        bank, u = self.find_bank(number), self._coefficients(rates).astype(np.float32)
+        bank, attacks = self.find_bank(number), self._coefficients(rates)
         shape = len(rates), len(rows)
         first, peak = np.zeros(shape, dtype=np.int64), np.zeros(shape)
-        for at, row in enumerate(rows.tolist()):
-            clean = bank.clean[row]
-            own = u * np.float32(scale[at])
-            moved = (bank.units[bank.group[row]] @ own).reshape(*clean.shape, len(rates))
-            ratio = np.square(moved + clean[..., None]).sum(axis=2).max(axis=1)  # (K, P)
+        for at, ratio in bank.judge(attacks, rows, scale):
             peak[:, at] = ratio.max(axis=0)
             above = ratio > 1.0
             first[:, at] = np.where(above.any(axis=0), above.argmax(axis=0) + 1, 0)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
@@ -132,7 +132,7 @@ class PassiveDetectors(Monitor):
     where it is not alone; `memory`: ``alarmed`` (B, w) bool, whether each has alarmed since it was
     last set to False; ``ratio`` (B, w) largest statistic over threshold at the last epoch."""
 
-    judge = staticmethod(judge_epoch)
+    judge: ClassVar[Callable[..., Verdict]] = staticmethod(judge_epoch)
 
     def __init__(self, detectors: Sequence[Detector]) -> None:
         self.detectors = [copy.deepcopy(detector) for detector in detectors]

@@ -16,7 +16,7 @@ from ...core.settings import describe
 from ...detectors import DETECTORS
 from ...envs.factory import VICTIMS, list_parameters
 from ...policies import Card, DetectorCard, SpooferCard, list_shipped, load_card
-from ...policies.card import SPOOFER
+from ...policies.card import DETECTOR, SPOOFER
 from ...policies.load import load_policy
 from ...policies.onnx_file import SUFFIX
 from ...simulation.setup import Setup
@@ -95,7 +95,7 @@ def _envs() -> list[dict[str, Any]]:
 
 def _list_shipped() -> list[dict[str, Any]]:
     cards = [load_card(name, SpooferCard) for name in list_shipped(SPOOFER)]
-    return [
+    spoofers = [
         {
             "name": card.name,
             "summary": "learned policy" if card.kind == "onnx-policy" else "optimised profile",
@@ -106,6 +106,18 @@ def _list_shipped() -> list[dict[str, Any]]:
         }
         for card in cards
     ]
+    detectors = [
+        {
+            "name": card.name,
+            "summary": "learned detector",
+            "kind": card.kind,
+            "knowledge": ", ".join(str(term["name"]) for term in card.terms or ()),
+            "designed_on": f"attacks in {card.training['task']}",
+            "scores": [],
+        }
+        for card in (load_card(name, DetectorCard) for name in list_shipped(DETECTOR))
+    ]
+    return [*spoofers, *detectors]
 
 
 KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
