@@ -58,6 +58,13 @@ SMALLER: dict[str, tuple[str | None, str]] = {
         "--generations 1 --ppo-steps 0",
         "36 minutes",
     ),
+    r"python -m tools\.learn_all .*--only window-data": (
+        "--list",
+        "an hour; tests/tools plays steps",
+    ),
+    r"python -m tools\.fuzz ": ("--cases 40", "an hour; tests/tools has tests of it"),
+    r"python -m tools\.kills ": ("--kills 2", "an hour; tests/tools has tests of it"),
+    r"python -m train\.detector --data runs/data": ("--passes 2", "minutes"),
     r"python -m train\.ppo_spoofer ": (f"{LEARNING} --seeds 0", "12 to 35 minutes each"),
     r"python -m train\.plain_ppo ": (
         "--steps 400 --scores 1 --fit-runs 80 --runs 20 --seeds 0",
@@ -83,6 +90,18 @@ SMALLER: dict[str, tuple[str | None, str]] = {
     r"spoofgym bench --(budget \w+ --)?detector solution-": (None, "tools.costs measures them"),
     r"spoofgym bench --track ": (f"--detector ewma {CAMPAIGN}", "a calibration for each detector"),
     r"spoofgym calibrate ": ("--runs 2000", "20,000 runs of its world"),
+    r"spoofgym bench --(seed|scenario zhong2025 --out) ": (
+        f"--detector ewma {CAMPAIGN}",
+        "every detector, half an hour",
+    ),
+    r"spoofgym bench --task S1 --spoofer my": (
+        f"--detector snapshot-chi2:signals=range_rate {CAMPAIGN}",
+        "half an hour",
+    ),
+    r"spoofgym dataset runs/(data|mine) ": (
+        "--train 64 --validation 32 --test 160",
+        "1280 runs, ten minutes",
+    ),
     r"spoofgym bench --detector ewma ": (CAMPAIGN, "minutes"),
     r"spoofgym bench --detector my_detector": (CAMPAIGN, "ten minutes"),
     r"make bench$": (f'ARGS="{CAMPAIGN}"', "minutes; a fresh checkout runs it"),
