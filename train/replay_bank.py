@@ -8,6 +8,7 @@ threshold; the victim's true error, which the engine shows an oracle, is not rec
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Self
 
@@ -35,7 +36,7 @@ Policy = Callable[[NDArray[np.float32]], NDArray[Any]]
 AT_ONCE = 64
 """Runs that are recorded together: their filters' matrices are some 10 kB a run and epoch."""
 SHARING = 256  # runs that share the starts and ages of their skies; others have their own
-SEARCHED = 600  # epochs of an attack that a search judges, about
+JUDGED = 300  # epochs of an attack that a search and a training judge, about
 SEEN = (
     *("own_displacement_along_target", "own_rate_along_target"),
     *("time_since_onset", "time_left", "statistic_ratio"),
@@ -66,6 +67,11 @@ class Bank(NamedTuple):
         """Some of its runs."""
         each = {name: getattr(self, name)[rows] for name in ("clean", "group", "sky")}
         return self._replace(**each, onset_ratio=self.onset_ratio[rows])
+
+    def thin(self, every: int) -> Self:
+        """Only the last of every few epochs."""
+        names = "clean", "units", "moved"
+        return self._replace(**{name: getattr(self, name)[:, every - 1 :: every] for name in names})
 
 
 def draw_circumstances(setup: Setup, entropy: int, runs: int) -> dict[str, NDArray[Any]]:
@@ -125,6 +131,7 @@ class Course(NamedTuple):
     hold: int
     epoch_s: float
     sizes: tuple[float, float]  # displacement [m] and rate [m/s] that are seen as 1
+    every: int = 1  # epochs of which the last one is judged
 
     @classmethod
     def of(cls, setup: Setup, action: Mapping[str, Any]) -> Self:
@@ -143,6 +150,18 @@ class Course(NamedTuple):
     @property
     def decisions(self) -> int:
         return len(self.base)
+
+    @property
+    def judged(self) -> tuple[int, int]:
+        """Judged epochs of a decision, and of the time to alert."""
+        return self.repeat // self.every, self.hold // self.every
+
+    def thin(self, bank: Bank) -> tuple[Bank, Self]:
+        """A bank and a course of which some `JUDGED` epochs are judged."""
+        most = max(bank.clean.shape[1] // JUDGED, 1)
+        common = math.gcd(self.repeat, self.hold)
+        every = max(k for k in range(1, most + 1) if common % k == 0)
+        return bank.thin(every), self._replace(every=every)
 
 
 class Receivers:
@@ -201,8 +220,9 @@ class Receivers:
 
     def _judge(self, which: NDArray[np.intp], group: int, decision: int) -> None:
         course, bank, run = self.course, self.bank, self.row[which]
-        start, end = decision * course.repeat, (decision + 1) * course.repeat
-        stop = end + (course.hold if decision + 1 == course.decisions else 0)
+        each, hold = course.judged
+        start, end = decision * each, (decision + 1) * each
+        stop = end + (hold if decision + 1 == course.decisions else 0)
         rates = self.rates[which]  # 0 from the next decision on
         flat = rates @ bank.units[group, start:stop].reshape(-1, course.decisions).T
         apart = flat.reshape(len(which), stop - start, -1) + bank.clean[run, start:stop]
@@ -219,8 +239,9 @@ class Receivers:
 
     def undetected_m(self, which: Any = slice(None)) -> FloatArray:
         """By the rule of the benchmark, of some that have alarmed or come to the end."""
-        error = self.farthest[which, 1 : 1 + self.course.decisions * self.course.repeat]
-        return undetected_displacement(error.T, self.first_alarm[which], self.course.hold)
+        each, hold = self.course.judged
+        error = self.farthest[which, 1 : 1 + self.course.decisions * each]
+        return undetected_displacement(error.T, self.first_alarm[which], hold)
 
 
 class BankBackend:
@@ -232,13 +253,11 @@ class BankBackend:
     def __init__(self, bank: Bank, course: Course) -> None:
         self.runs, self.steps = len(bank.sky), course.decisions
         self.limits = course.limit_mps, course.change_mps
-        every = max(bank.clean.shape[1] // SEARCHED, 1)
-        attack_epochs = course.decisions * course.repeat
-        self.moved = bank.moved[:, :attack_epochs:every]
-        clean, units = bank.clean[:, ::every], bank.units[:, ::every]
+        few, thinned = course.thin(bank)
+        self.moved = few.moved[:, : course.decisions * thinned.judged[0]]
         self.judged = LinearBank(
-            clean.reshape(*clean.shape[:2], -1, 2),
-            units.reshape(len(units), -1, course.decisions),
+            few.clean.reshape(*few.clean.shape[:2], -1, 2),
+            few.units.reshape(len(few.units), -1, course.decisions),
             bank.group,
         )
 
@@ -284,11 +303,13 @@ class BankRuns:
 
 class BankVecEnv(VecEnv):
     """Receivers of a bank for stable-baselines3; an episode is a run of it, drawn, and ends by an
-    alarm, which costs `price_m`.  Rewards are metres of undetected displacement."""
+    alarm, which costs `price_m`.  Rewards are metres of undetected displacement.  Of long attacks
+    one epoch of several is judged."""
 
     def __init__(
         self, bank: Bank, course: Course, num_envs: int, price_m: float, seed: int, blind: bool
     ) -> None:
+        bank, course = course.thin(bank)
         self.seen = len(SEEN) - blind
         most = MOST[: self.seen].astype(np.float32)
         seen = spaces.Box(-most, most)
@@ -315,7 +336,7 @@ class BankVecEnv(VecEnv):
         own, course = self.receivers, self.receivers.course
         own.step(self.actions, self.everyone)
         alarmed = own.first_alarm > 0
-        now = own.farthest[self.everyone, own.at * course.repeat].astype(np.float64)
+        now = own.farthest[self.everyone, own.at * course.judged[0]].astype(np.float64)
         if alarmed.any():
             now[alarmed] = own.undetected_m(alarmed)
         reward = now - self.reached - np.where(alarmed, self.price_m, 0.0)

@@ -72,7 +72,7 @@ from .suite_ppo import Settings as OfSuite
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED, SCORES = ROOT / "agents" / "replay", ROOT / "docs" / "learned_replay.json"
 BLIND, STATISTICS = KNOWLEDGE
-TASKS = {"S1": (1536, 512, 0.9), "S2": (768, 256, 1.2), "S3": (384, 128, 1.5)}
+TASKS = {"S1": (1536, 512, 1.2), "S2": (768, 256, 1.2), "S3": (256, 128, 1.5)}
 """Runs to learn and to choose on, a third of them to choose; runs of scores; CPU hours of the runs
 and of five seeds, roughly."""
 FILTERS = {"own-filter": True, "same-filter": False}

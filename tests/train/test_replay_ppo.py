@@ -19,7 +19,7 @@ from spoofgym.limits.response import Replay
 from spoofgym.simulation.setup import seeds_of_runs
 from spoofgym.spoofers.learned import ModelPolicy, OnnxPolicy
 from spoofgym.spoofers.scaled import Scaled
-from train import replay_ppo
+from train import replay_bank, replay_ppo
 from train.replay_bank import (
     SEEN,
     Bank,
@@ -123,6 +123,20 @@ def test_an_open_loop_attack_is_judged_as_by_the_replay_it_was_recorded_from(wor
     np.testing.assert_allclose(peak, found.peak[:, order], rtol=1e-3)
     expected = found.error[: replay.attack_epochs].max(axis=0).mean(axis=1)
     np.testing.assert_allclose(reach, expected, rtol=1e-3)
+
+
+def test_a_training_on_long_attacks_judges_one_epoch_of_several(bank, course, monkeypatch):
+    monkeypatch.setattr(replay_bank, "JUDGED", 20)
+    few, thinned = course.thin(bank)
+    assert thinned.every == 2
+    assert few.clean.shape[1] == bank.clean.shape[1] // 2
+    everyone = np.arange(RUNS)
+    own = BankRuns(few, thinned, correct).run(0.3, everyone)
+    whole = BankRuns(bank, course, correct).run(0.3, everyone)
+    np.testing.assert_allclose(own.observe(), whole.observe(), rtol=1e-5)
+    np.testing.assert_allclose(own.rates, whole.rates, rtol=1e-5)
+    np.testing.assert_allclose(own.undetected_m(), whole.undetected_m(), rtol=0.02)
+    assert BankVecEnv(bank, course, 4, 25.0, 1, blind=True).receivers.course == thinned
 
 
 @pytest.mark.parametrize("size", [0.02, 1.0])
