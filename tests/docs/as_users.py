@@ -63,6 +63,7 @@ SMALLER: dict[str, tuple[str | None, str]] = {
         "an hour; tests/tools plays steps",
     ),
     r"python -m tools\.fuzz ": ("--cases 40", "an hour; tests/tools has tests of it"),
+    r"python -m benchmarks\.perf --(json|markdown)$": ("--quick", "the same again"),
     r"python -m tools\.kills ": ("--kills 2", "an hour; tests/tools has tests of it"),
     r"python -m train\.detector --data runs/data": ("--passes 2", "minutes"),
     r"python -m train\.ppo_spoofer ": (f"{LEARNING} --seeds 0", "12 to 35 minutes each"),
