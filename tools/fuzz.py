@@ -41,6 +41,7 @@ from spoofgym.detectors.build import make_detector
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, Calibration
 from spoofgym.envs.terms import make_terms
 from spoofgym.policies.card import Card
+from spoofgym.policies import DetectorCard, load_card
 from spoofgym.policies.onnx_file import read_model
 from spoofgym.policies.onnx_model import OnnxModel
 from spoofgym.policies.zoo import ZOO_FOLDER
@@ -193,8 +194,8 @@ def _read_onnx(path: Path) -> None:
     content = path.read_bytes()
     about = _describe(content)
     read_model(content, str(path))
-    model = OnnxModel(path, about, 2)
-    model._open()
+    recurrent = load_card("window-guard", DetectorCard)
+    OnnxModel(path, about, 2, recurrent.state)._open()
 
 
 def _describe(content: bytes) -> Any:
