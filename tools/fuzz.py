@@ -40,8 +40,8 @@ from spoofgym.data.tracks import read_track
 from spoofgym.detectors.build import make_detector
 from spoofgym.detectors.calibration_file import SHIPPED_FOLDER, Calibration
 from spoofgym.envs.terms import make_terms
-from spoofgym.policies.card import Card
 from spoofgym.policies import DetectorCard, load_card
+from spoofgym.policies.card import Card
 from spoofgym.policies.onnx_file import read_model
 from spoofgym.policies.onnx_model import OnnxModel
 from spoofgym.policies.zoo import ZOO_FOLDER
