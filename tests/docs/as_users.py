@@ -95,12 +95,13 @@ SMALLER: dict[str, tuple[str | None, str]] = {
         f"--detector ewma {CAMPAIGN}",
         "every detector, half an hour",
     ),
+    r"spoofgym run .* --spoofer ppo\.onnx": (None, "a policy of one's own in this space"),
     r"spoofgym bench --task S1 --spoofer my": (
-        f"--detector snapshot-chi2:signals=range_rate {CAMPAIGN}",
+        CAMPAIGN,
         "half an hour",
     ),
     r"spoofgym dataset runs/(data|mine) ": (
-        "--train 64 --validation 32 --test 160",
+        "--train 64 --validation 128 --test 128",
         "1280 runs, ten minutes",
     ),
     r"spoofgym bench --detector ewma ": (CAMPAIGN, "minutes"),
