@@ -109,7 +109,7 @@ def list_steps(out: Path) -> dict[str, Step]:
         "--out OUT/window-scores --runs 24 --selection-runs 12 --clean-runs 40 --entropy 771 "
         "--page",
         "suite": "train.suite_ppo --out OUT/suite",
-        "replay": "train.replay_ppo --out OUT/replay --tasks S1 --ship",
+        "replay": "train.replay_ppo --out OUT/replay --ship",
         "feedback": "tools.feedback_gain --out OUT/feedback",
         "feedback-T2": "tools.feedback_gain --task T2 --out OUT/feedback",
         "game": f"train.double_oracle --task T3 --out OUT/game {GAME}",
