@@ -104,6 +104,13 @@ def test_check_detector_looks_at_the_age_where_it_is_asked_to():
         check_detector(Tired(), stationary=True)
 
 
+def test_it_is_attacked_in_flight_under_one_sky_too():
+    world = {"name": "zhong2025-white", "flight": "airway", "imu_rate_hz": 10.0}
+    found = check_ages("snapshot-chi2", scenario=world, receiver="matched")
+    assert found.found.shape == (len(ATTACKS), len(AGES_S), RECEIVERS)
+    assert found.found[1].any()
+
+
 @pytest.mark.parametrize("name", heavy(DETECTORS, *SLOW))
 def test_registered_detectors_do_not_depend_on_their_age_but_those_that_are_known(name):
     if name in KNOWN:
