@@ -31,6 +31,7 @@ from spoofgym.bench.scores.audit import format_age
 from spoofgym.bench.scores.scores import select_clusters
 from spoofgym.bench.scores.statistics import bounded_mean
 from spoofgym.cli.app import progress
+from spoofgym.core.registry import parse_spec
 from spoofgym.detectors import Never
 from spoofgym.detectors.calibrated import describe_identity, list_factors, unwrap
 from spoofgym.simulation.monitors import PassiveDetectors
@@ -219,7 +220,7 @@ def main(arguments: list[str]) -> None:
         threads=1,
         folder=given.out / "families",
     )
-    specs = [given.detector, auditor.task.task.detector]
+    specs = [parse_spec(given.detector), auditor.task.task.detector]
     detectors = auditor.worlds.build_detectors(specs)
     alone = {"task": given.task, "entropy": given.entropy, "of": _identify(detectors)}
     sizes = {

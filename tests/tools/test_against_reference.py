@@ -54,6 +54,11 @@ def test_against_itself_no_family_differs(auditor):
     assert "| `ramps` |" in module.tabulate({"families": found})
 
 
+def test_settings_are_read_as_on_every_command_line():
+    with pytest.raises(SystemExit, match="`smoothing` must be a number above 0 and at most 1"):
+        module.main(["ewma:smoothing=2"])
+
+
 def test_the_page_has_the_tables_of_its_results():
     page, found = (DOCS / "hours.md").read_text(), json.loads(module.DATA_FILE.read_text())
     wanted = fit_tables(f"{module.tabulate(found)}\n")
