@@ -140,6 +140,15 @@ def play_clean(worlds: Worlds, detectors: Sequence[ScoredDetector], runs: int) -
     }
 
 
+def take(found: dict[str, Any], kept: dict[str, Any]) -> dict[str, Any]:
+    """Results of a task with those that are kept: parts, and families on as many runs."""
+    whole = {**kept, **found}
+    before, now = (each.get("families", {}) for each in (kept, found))
+    if before and now and all(before[x] == now[x] for x in ("runs", "selection_runs")):
+        whole["families"] = {**now, "families": {**before["families"], **now["families"]}}
+    return whole
+
+
 def _identify(detectors: Sequence[ScoredDetector]) -> list[Any]:
     """What results depend on of detectors: file or settings, and thresholds."""
     return [[describe_identity(unwrap(each.judge)), list_factors(each.judge)] for each in detectors]
@@ -237,8 +246,11 @@ def main(arguments: list[str]) -> None:
     found = Records("against", {}, parts).play(given.out / "parts", progress)
     print(json.dumps(found, indent=1) if given.json else tabulate(found))
     if given.page:
-        write_json(DATA_FILE, found)
-        put_between(PAGE, *marks("hours"), fit_tables(f"{tabulate(found)}\n"))
+        kept = json.loads(DATA_FILE.read_text())
+        kept[given.task] = take(found, kept.get(given.task, {}))
+        write_json(DATA_FILE, kept)
+        for task, each in kept.items():
+            put_between(PAGE, *marks(f"hours-{task}"), fit_tables(f"{tabulate(each)}\n"))
 
 
 if __name__ == "__main__":

@@ -60,6 +60,16 @@ def test_settings_are_read_as_on_every_command_line():
 
 
 def test_the_page_has_the_tables_of_its_results():
-    page, found = (DOCS / "hours.md").read_text(), json.loads(module.DATA_FILE.read_text())
-    wanted = fit_tables(f"{module.tabulate(found)}\n")
-    assert part_between(page, *marks("hours")) == f"\n{wanted}"
+    page, kept = (DOCS / "hours.md").read_text(), json.loads(module.DATA_FILE.read_text())
+    for task, found in kept.items():
+        wanted = fit_tables(f"{module.tabulate(found)}\n")
+        assert part_between(page, *marks(f"hours-{task}")) == f"\n{wanted}"
+
+
+@pytest.mark.parametrize(("runs", "families"), [(24, ["ramps", "early"]), (12, ["early"])])
+def test_families_join_those_that_met_as_many_runs(runs, families):
+    sizes, new = {"runs": 24, "selection_runs": 12}, {"runs": runs, "selection_runs": 12}
+    kept = {"ages": {"runs": 24}, "families": {**sizes, "families": {"ramps": 1}}}
+    found = module.take({"families": {**new, "families": {"early": 2}}}, kept)
+    assert [*found["families"]["families"]] == families
+    assert found["ages"] == kept["ages"]
