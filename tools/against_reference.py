@@ -125,7 +125,8 @@ def play_clean(worlds: Worlds, detectors: Sequence[ScoredDetector], runs: int) -
         levels = {"alarm": 1.0, "often": float(np.quantile(ratio, 1.0 - OFTEN))}
         own: dict[str, Any] = {"level": levels["often"], "alarms": int((ratio > 1.0).sum())}
         for name, level in levels.items():
-            shares = [(ratio[part] > level).mean(axis=0) for part in parts]
+            above = ratio > level
+            shares = [above[x].mean(axis=0) if x.any() else np.full(runs, np.nan) for x in parts]
             own[name] = [bounded_mean(each, sky, 0.0).as_json() for each in shares]
             own[f"{name}_last_less_first"] = bounded_mean(
                 shares[-1] - shares[0], sky, -1.0
