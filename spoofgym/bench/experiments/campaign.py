@@ -353,7 +353,7 @@ class Campaign(Experiment):
             release_free_memory()
             suite = self.suite
             if suite.floor is None:
-                record = suite.optima(context.threads).bounds.compute_lower_limit()
+                record = suite.optima(context.threads).bounds.compute_lower_limit(context.tick)
             else:
                 record = restate_lower_limits(suite.floor, suite.world.setup)
             yield Result(record=record)

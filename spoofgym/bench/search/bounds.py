@@ -126,12 +126,13 @@ class DisplacementBounds:
         setup = self.world.setup
         return setup if isinstance(setup, TightlyCoupledSetup) else None
 
-    def compute_lower_limit(self) -> dict[str, Any]:
+    def compute_lower_limit(self, tick: WorkCallback | None = None) -> dict[str, Any]:
         """Floor over the drawn worlds, or why it is missing."""
         if self.setup is None:
             return {"why": f"no limit is known for {self.world.setup.whose}"}
         try:
-            frontier = compute_frontier(self.setup, worlds=self.floor_worlds, entropy=self.entropy)
+            drawn: dict[str, Any] = {"worlds": self.floor_worlds, "entropy": self.entropy}
+            frontier = compute_frontier(self.setup, **drawn, tick=tick)
         except ValueError as error:
             return {"why": str(error)}
         return tabulate_lower_limits(frontier, self.rates, self.budget)
