@@ -264,7 +264,8 @@ def make_model(
     """PPO whose first corrections are 0 but for exploration."""
     envs = VecNormalize(BankVecEnv(bank, course, num_envs, price_m, seed, blind), gamma=1.0)
     steps = course.decisions
-    how: dict[str, Any] = {"n_steps": steps, "batch_size": 5 * num_envs, "gamma": 1.0}
+    part = max(k for k in range(1, 6) if steps % k == 0)  # of the decisions, without a rest
+    how: dict[str, Any] = {"n_steps": steps, "batch_size": part * num_envs, "gamma": 1.0}
     how |= {**LEARN, **EXPLORE, "policy_kwargs": {"log_std_init": log_std}}
     model = PPO("MlpPolicy", envs, seed=seed, device="cpu", **how)
     with torch.no_grad():
