@@ -2,7 +2,7 @@
 
     python -m train.replay_ppo --list                 # what it trains, and its CPU hours
     python -m train.replay_ppo --out runs/replay      # all tasks, then confirmed on the engine
-    python -m train.replay_ppo --tasks S2 --seeds 0
+    python -m train.replay_ppo --tasks S2 S1:60 --seeds 0   # and S1 with attacks of 60 s
     python -m train.replay_ppo --ship                 # the results into docs/ and agents/, too
 
 The detector of S1 to S3 has a filter of its own, which makes a decision on the engine some twelve
@@ -95,7 +95,7 @@ class Settings:
     """What is trained."""
 
     out: Path = Path("runs/replay")  # Folder of the results.
-    tasks: tuple[str, ...] = tuple(TASKS)  # In whose worlds, at their durations.
+    tasks: tuple[str, ...] = tuple(TASKS)  # In whose worlds; S1:60 with attacks of 60 s.
     detectors: tuple[str, ...] = ("own-filter",)  # Solution separation: own-filter, same-filter.
     knowledge: tuple[str, ...] = (STATISTICS, BLIND)  # What corrections are of.
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)  # One training each; blind the first alone.
@@ -107,7 +107,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         for word, given, valid in (
-            ("task", self.tasks, TASKS),
+            ("task", [split_name(each)[0] for each in self.tasks], TASKS),
             ("detector", self.detectors, FILTERS),
             ("knowledge", self.knowledge, KNOWLEDGE),
         ):
@@ -120,14 +120,32 @@ class Settings:
                 yield case, sees, seed
 
 
+def split_name(name: str) -> tuple[str, float | None]:
+    """A task, and how long attacks last if not as long as there: of S1:60, 60 s."""
+    task, colon, seconds = name.partition(":")
+    try:
+        attack_s = float(seconds) if colon else None
+    except ValueError:
+        raise ValueError(f"after the colon of {name!r} seconds are wanted, as in S1:60") from None
+    return task, attack_s
+
+
+def get_sizes(name: str) -> tuple[int, int, float]:
+    return TASKS[split_name(name)[0]]
+
+
 def make_detector(task: str, case: str) -> dict[str, Any]:
-    own = dict(get_task(task).detector)
+    own = dict(get_task(split_name(task)[0]).detector)
     return own if FILTERS[case] else {k: x for k, x in own.items() if k != "filter"}
 
 
 @cache
 def make_world(task: str) -> World:
-    return World.of(task)
+    key, attack_s = split_name(task)
+    world = World.of(key)
+    if attack_s is None:
+        return world
+    return world.copy_with(timeline={**world.settings["timeline"], "attack_s": attack_s})
 
 
 @cache
@@ -142,8 +160,8 @@ def identify(task: str, case: str) -> str:
 @cache
 def open_bank(out: Path, task: str, case: str, entropy: int, runs: int) -> Bank:
     """Recorded once, and stored."""
-    name = f"{task}-{case}-{entropy}-{runs}-{identify(task, case)[:8]}.npz"
-    path = out / "banks" / name
+    words = task.replace(":", "-"), case, entropy, runs, identify(task, case)[:8]
+    path = out / "banks" / f"{'-'.join(map(str, words))}.npz"
     if not path.is_file():
         world, split = make_world(task), TRAINED if entropy == LEARNING else SCORED
         found = record_bank(world, make_detector(task, case), split, entropy, runs)
@@ -158,7 +176,7 @@ def open_bank(out: Path, task: str, case: str, entropy: int, runs: int) -> Bank:
 
 def split_bank(out: Path, task: str, case: str) -> tuple[Bank, Bank]:
     """Runs to learn on, and those of every third sky, start and age, to choose on."""
-    bank = open_bank(out, task, case, LEARNING, TASKS[task][0])
+    bank = open_bank(out, task, case, LEARNING, get_sizes(task)[0])
     chosen = bank.group % 3 == 0
     return bank.take(~chosen), bank.take(chosen)
 
@@ -246,7 +264,8 @@ def make_model(
     """PPO whose first corrections are 0 but for exploration."""
     envs = VecNormalize(BankVecEnv(bank, course, num_envs, price_m, seed, blind), gamma=1.0)
     steps = course.decisions
-    how: dict[str, Any] = {"n_steps": steps, "batch_size": 5 * num_envs, "gamma": 1.0}
+    part = max(k for k in range(1, 6) if steps % k == 0)  # of the decisions, without a rest
+    how: dict[str, Any] = {"n_steps": steps, "batch_size": part * num_envs, "gamma": 1.0}
     how |= {**LEARN, **EXPLORE, "policy_kwargs": {"log_std_init": log_std}}
     model = PPO("MlpPolicy", envs, seed=seed, device="cpu", **how)
     with torch.no_grad():
@@ -299,7 +318,7 @@ def train(
     row: dict[str, Any] = {"task": task, "case": case, "knowledge": sees, "seed": seed}
     row |= {"steps": model.num_timesteps, "choice_m": reached, "checkpoint": best}
     row |= {"diverged": why, "file": None}
-    final = open_bank(settings.out, task, case, FINAL, TASKS[task][1])
+    final = open_bank(settings.out, task, case, FINAL, get_sizes(task)[1])
     other = trace(final, course)
     own = trace(final, course, policies[best - 1].act) if best else other
     row |= {"score": get_score(own), "base": get_score(other)}
@@ -347,7 +366,8 @@ def write_policy(
     names = shown.observation_names
     actor.columns = [names.index(name) for name in SEEN[: len(policy.columns)]]
     blind = f"-{BLIND}" if row["knowledge"] == BLIND else ""
-    path = out / POLICIES / f"{task.lower()}-{case}{blind}-{row['seed']}.onnx"
+    name = task.lower().replace(":", "-")
+    path = out / POLICIES / f"{name}-{case}{blind}-{row['seed']}.onnx"
     path.parent.mkdir(parents=True, exist_ok=True)
     kept = ("steps", "seed", "knowledge", "choice_m", "checkpoint")
     origin = {"algorithm": "PPO", "case": case, **{name: row[name] for name in kept}}
@@ -371,7 +391,7 @@ def confirm(
     """What was kept and its base on the engine, at the amplitudes of the replay, on fresh runs,
     each of an age of its own."""
     own = {**make_world(task).settings, "detector": make_detector(task, case)}
-    judge = Evaluator(runs=TASKS[task][1], entropy=CONFIRMED, **own)
+    judge = Evaluator(runs=get_sizes(task)[1], entropy=CONFIRMED, **own)
     still = play_base(OPEN_LOOP, make_env(base["spec"], BLIND))
     found = {}
     for name, row in {BASE: next(iter(rows.values())), **rows}.items():
@@ -409,7 +429,7 @@ def list_case(settings: Settings, task: str, case: str) -> dict[str, Part]:
     """Those of one detector in one task."""
     out, base = settings.out, f"{task} {case} base"
     sizes = {name: getattr(settings, name) for name in ("episodes", "checkpoints", "num_envs")}
-    own = {"runs": TASKS[task], "of": identify(task, case)}
+    own = {"runs": get_sizes(task), "of": identify(task, case)}
     trainings = {
         f"{task} {case} {sees} {seed}": (sees, seed)
         for of, sees, seed in settings.trainings(task)
@@ -469,7 +489,8 @@ def ship(settings: Settings, found: dict[str, Any]) -> None:
 def build_table(results: dict[str, Any]) -> str:
     """A line of Markdown for each task, detector and knowledge."""
     lines = []
-    for task, case, sees in product(TASKS, FILTERS, reversed(KNOWLEDGE)):
+    tasks = sorted({name.partition(" ")[0] for name in results})
+    for task, case, sees in product(tasks, FILTERS, reversed(KNOWLEDGE)):
         names = [name for name in results if name.startswith(f"{task} {case} {sees} ")]
         if not names:
             continue
@@ -495,7 +516,7 @@ def list_plan(settings: Settings) -> Iterator[str]:
     """What is trained, and its CPU hours."""
     for task in settings.tasks:
         count = len([*settings.trainings(task)])
-        hours = TASKS[task][2]
+        hours = get_sizes(task)[2]
         yield f"{task}: {count} trainings, about {hours:.1f} CPU hours with the runs recorded"
 
 

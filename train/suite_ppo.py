@@ -57,7 +57,9 @@ from .residual_ppo import (
     scale_rates,
 )
 
-TASK, (BLIND, STATISTICS) = "S1", KNOWLEDGE
+TASK, (BLIND, STATISTICS), POSITION = "S1", KNOWLEDGE, "position"
+SEES = {**KNOWLEDGE, POSITION: f"{KNOWLEDGE[BLIND]}+reported"}
+"""What corrections are of; *position* is what the victim reports, beside what is seen blind."""
 WORLD = get_task(TASK).world_kwargs
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED, SCORES = ROOT / "agents" / "s1", ROOT / "docs" / "learned.json"
@@ -96,7 +98,7 @@ class Settings:
 
     out: Path = Path("runs/suite")  # Folder of the results.
     detectors: tuple[str, ...] = tuple(CASES)  # Of the README's table.
-    knowledge: str = STATISTICS  # What corrections are of: statistics, an oracle's, or blind.
+    knowledge: str = STATISTICS  # What corrections are of: statistics, position or blind.
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)  # One training each.
     steps: int = 600_000  # Decisions of all receivers together.
     checkpoints: int = 4  # Of a training, of which one or the base is taken.
@@ -109,7 +111,7 @@ class Settings:
     def __post_init__(self) -> None:
         for name in self.detectors:
             check_choice("detector", name, CASES)
-        check_choice("knowledge", self.knowledge, KNOWLEDGE)
+        check_choice("knowledge", self.knowledge, SEES)
 
 
 @cache
@@ -159,7 +161,7 @@ def make_env(spec: dict[str, Any], knowledge: str) -> dict[str, Any]:
     """Corrections of the command that the searched attack gives, its acceleration: a base that is
     played by wanted rates turns at every decision, and gets less far."""
     action = {"name": "residual", "spoofer": spec, "action": [{"name": "along-target"}]}
-    return {"knowledge": KNOWLEDGE[knowledge], "action": action}
+    return {"knowledge": SEES[knowledge], "action": action}
 
 
 def set_env(label: str, spec: dict[str, Any], knowledge: str = STATISTICS) -> dict[str, Any]:
@@ -229,8 +231,8 @@ def train(settings: Settings, case: str, base: dict[str, Any], seed: int) -> dic
 
 
 def name_training(settings: Settings, case: str, seed: int, between: str) -> str:
-    blind = (BLIND,) if settings.knowledge == BLIND else ()
-    return between.join((case, *blind, str(seed)))
+    sees = () if settings.knowledge == STATISTICS else (settings.knowledge,)
+    return between.join((case, *sees, str(seed)))
 
 
 def score_policy(path: Path, runs: int) -> dict[str, Any]:
@@ -305,7 +307,7 @@ def build_table(results: dict[str, Any]) -> str:
 def tabulate(kept: dict[str, Any]) -> str:
     """A line of Markdown for each detector, of what is kept in docs/learned.json."""
     lines = []
-    for (case, (label, _)), sees in product(CASES.items(), reversed(KNOWLEDGE)):
+    for (case, (label, _)), sees in product(CASES.items(), (STATISTICS, POSITION, BLIND)):
         rows = [each for each in kept["trained"].values() if each["knowledge"] == sees]
         trained = [each for each in rows if each["case"] == case]
         if trained:

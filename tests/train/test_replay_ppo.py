@@ -19,6 +19,7 @@ from spoofgym.limits.response import Replay
 from spoofgym.simulation.setup import seeds_of_runs
 from spoofgym.spoofers.learned import ModelPolicy, OnnxPolicy
 from spoofgym.spoofers.scaled import Scaled
+from spoofgym.tasks import get_task
 from train import replay_bank, replay_ppo
 from train.replay_bank import (
     SEEN,
@@ -233,11 +234,20 @@ def test_the_plan_says_what_is_trained_and_bad_names_what_is_valid():
     assert line.startswith("S2: 6 trainings, about ")  # five seeds, and one blind
     for word, given, valid in (
         ("tasks", "S4", "S1, S2, S3"),
+        ("tasks", "S1:long", "as in S1:60"),
         ("detectors", "ewma", "own-filter, same-filter"),
         ("knowledge", "all", "blind, statistics"),
     ):
         with pytest.raises(ValueError, match=f"'{given}'.*{valid}"):
             Settings(**{word: (given,)})
+
+
+@pytest.mark.parametrize(("name", "steps"), [("S1", 300), ("S1:60", 120)])
+def test_a_task_can_have_attacks_of_another_duration(name, steps):
+    world, whole = replay_ppo.make_world(name), World.of("S1")
+    assert world.setup.steps == steps
+    assert world.settings["domain"] == whole.settings["domain"]
+    assert replay_ppo.make_detector(name, "own-filter") == get_task("S1").detector
 
 
 def test_a_bank_keeps_the_runs_that_are_taken():

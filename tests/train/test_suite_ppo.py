@@ -16,6 +16,7 @@ from spoofgym.bench.runs.players import specify_detector
 from spoofgym.bench.runs.record import MEASURES
 from spoofgym.bench.scores.at_budget import AlarmCurve
 from spoofgym.policies import SpooferCard
+from spoofgym.sb3 import SpoofVecEnv
 from tools.readme_bench import choose_policies, label
 from train import suite_ppo
 from train.suite_ppo import (
@@ -25,6 +26,7 @@ from train.suite_ppo import (
     SCORES,
     SHIPPED,
     TASK,
+    WORLD,
     Settings,
     build_table,
     list_plan,
@@ -32,6 +34,13 @@ from train.suite_ppo import (
 )
 
 LARGEST = 200_000
+
+
+def make_observed(own):
+    """Names of what an environment shows."""
+    vector = SpoofVecEnv(1, **own)
+    vector.close()
+    return vector.observation_names
 
 
 def test_the_plan_has_the_detectors_of_the_readme_and_their_hours():
@@ -43,6 +52,20 @@ def test_the_plan_has_the_detectors_of_the_readme_and_their_hours():
         Settings(detectors=("raim",))
     with pytest.raises(ValueError, match="unknown knowledge 'all'"):
         Settings(knowledge="all")
+
+
+@pytest.mark.parametrize(
+    ("knowledge", "seen"), [("blind", set()), ("position", {"reported", "report"}), ("statistics", None)]
+)
+def test_a_correction_sees_what_its_knowledge_says(knowledge, seen):
+    curve = {"name": "open-loop", "rates_mps": [0.1] * 15}
+    world = {**WORLD, "detector": {"name": "snapshot-chi2", "thresholds": "nominal"}}
+    names = [
+        set(make_observed({**world, **suite_ppo.make_env(curve, each)}))
+        for each in ("blind", knowledge)
+    ]
+    more = {name.partition("_")[0] for name in names[1] - names[0]}
+    assert more == seen if seen is not None else "statistic" in more
 
 
 @pytest.mark.parametrize(
