@@ -239,7 +239,7 @@ def draw_worlds(
     runs = record(setup, make_generators([unused_seed(seed) for seed in seeds]))
     cases = []
     for seed, run in zip(seeds, runs, strict=True):
-        commands = unit_commands(setup, run.onset).in_hats(HATS)
+        commands = unit_commands(setup, run.onset, HATS)
         cases.append(WorldSample(run, make_attacker(commands, run, get_heading(setup)), seed))
         advance(1.0 / worlds)
     return cases

@@ -462,7 +462,7 @@ def compute_frontier(
     found: list[WorldFrontier] = []
     matrices, coasting, course = [], [], []
     for victim, its_analyst in _record_pairs(setup, analyst, entropy, count, worlds is None):
-        commands = unit_commands(setup, victim.onset).in_hats(HATS)
+        commands = unit_commands(setup, victim.onset, HATS)
         if np.any(commands.idle):
             raise ValueError(
                 f"no floor is known for {setup.attack.label!r}: it changes the measurements when "

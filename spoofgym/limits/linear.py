@@ -287,16 +287,6 @@ class Commands(NamedTuple):
     def decisions(self) -> int:
         return int(self.offsets.shape[2]) // self.axes if self.hats is None else len(self.hats)
 
-    def in_hats(self, count: int) -> Commands:
-        """Commands whose rates are sums of hat functions, where there are more decisions."""
-        if self.hats is not None or self.decisions <= count:
-            return self
-        hats = hat_functions(self.decisions, count)
-        epochs, m = self.offsets.shape[:2]
-        each = self.offsets.reshape(epochs, m, self.decisions, self.axes)
-        offsets = np.einsum("kmda,dq->kmqa", each, hats).reshape(epochs, m, -1)
-        return self._replace(offsets=offsets, hats=hats)
-
 
 def hat_functions(decisions: int, count: int) -> FloatArray:
     """(decisions, Q) piecewise linear functions that are 1 at one of Q equally spaced decisions."""
@@ -317,7 +307,7 @@ def bare(attack: Attack, decision_s: float) -> Attack:
     return replace(attack, acceleration_limit_mps2=quick, **perfect)
 
 
-def unit_commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
+def unit_commands(setup: TightlyCoupledSetup, onset: int, hats: int | None = None) -> Commands:
     """Offsets by command of an episode.
 
     Parameters
@@ -326,22 +316,28 @@ def unit_commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
         World, attack, timeline and decisions.
     onset : int
         Epoch of the world after which the attack starts, `LinearRun.onset`.
+    hats : int, optional
+        Where there are more decisions than these, commands are of so many hat functions of the
+        rate; a decision for each would take gigabytes in long attacks.
 
     Returns
     -------
     Commands
-        Of every decision by itself.
+        By default of every decision by itself.
     """
     repeat, decision_s = setup.repeat, setup.repeat * setup.interval_s
     attack, by_rate = bare(setup.attack, decision_s), setup.attack.control == "rate"
     axes, decisions = len(attack.action_names(setup.world)), setup.steps // repeat
-    count = axes * decisions
-    size = SMALL * np.eye(count).reshape(count, decisions, axes)
-    tried = np.concatenate([size, np.zeros((1, decisions, axes)), _some(decisions, axes)])
-    found = _offsets(setup, attack, onset, tried)
+    shapes = hat_functions(decisions, hats) if hats and hats < decisions else None
+    each = decisions if shapes is None else shapes.shape[1]
+    count = axes * each
+    size = SMALL * np.eye(count).reshape(count, each, axes)
+    tried = np.concatenate([size, np.zeros((1, each, axes)), _some(each, axes)])
+    rates = tried if shapes is None else np.einsum("dq,rqa->rda", shapes, tried)
+    found = _offsets(setup, attack, onset, rates)
     idle = found[:, :, count]
     unit = attack.unit_rates(setup.world)
-    offsets = (found[:, :, :count] - idle[:, :, None]) / (SMALL * np.tile(unit, decisions))
+    offsets = (found[:, :, :count] - idle[:, :, None]) / (SMALL * np.tile(unit, each))
     _check_linear(attack, unit, offsets, idle, found[:, :, count + 1 :], tried[count + 1 :])
     names = attack.action_names(setup.world)
     places = {"north": (1.0, 0.0), "east": (0.0, 1.0), "down": (0.0, 0.0)}
@@ -356,6 +352,7 @@ def unit_commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
         math.inf
         if by_rate and attack.kind != "offsets"
         else setup.attack.acceleration_limit_mps2 * decision_s,
+        shapes,
     )
 
 

@@ -465,7 +465,7 @@ class Replay(LinearReplay):
 
     def _offsets(self, onset: int) -> FloatArray:
         """(K, m, 2 Q) offsets of the measurements by hat function, those north first."""
-        commands = unit_commands(self.setup, onset)
+        commands = unit_commands(self.setup, onset, HATS)
         if commands.heading is None or not np.array_equal(commands.heading, np.eye(2)):
             raise NotReplayable(
                 "the replay moves a false position north and east, and "
@@ -475,6 +475,4 @@ class Replay(LinearReplay):
             raise NotReplayable(
                 f"{self.setup.attack.label!r} changes the measurements without a command"
             )
-        each = commands.offsets.reshape(*commands.offsets.shape[:2], commands.decisions, 2)
-        parts = [each[:, :, :, axis] @ self.hats for axis in (0, 1)]
-        return np.concatenate(parts, axis=2)
+        return np.concatenate([commands.offsets[:, :, axis::2] for axis in (0, 1)], axis=2)

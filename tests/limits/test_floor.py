@@ -186,7 +186,7 @@ def worlds_of(attack):
     setup = unwatched(attack=attack, timeline=LINE)
     (victim,) = record(setup, rngs_of(setup))
     (its,) = Analyst(setup).record(rngs_of(setup))
-    commands = unit_commands(setup, victim.onset).in_hats(20)
+    commands = unit_commands(setup, victim.onset, 20)
     return [
         world_frontier(commands, victim, run, its.coasting, setup.steps - 1).per_deflection()
         for run in (its.linear, victim)

@@ -55,7 +55,8 @@ def test_the_plan_has_the_detectors_of_the_readme_and_their_hours():
 
 
 @pytest.mark.parametrize(
-    ("knowledge", "seen"), [("blind", set()), ("position", {"reported", "report"}), ("statistics", None)]
+    ("knowledge", "seen"),
+    [("blind", set()), ("position", {"reported", "report"}), ("statistics", None)],
 )
 def test_a_correction_sees_what_its_knowledge_says(knowledge, seen):
     curve = {"name": "open-loop", "rates_mps": [0.1] * 15}
