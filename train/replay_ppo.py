@@ -175,7 +175,8 @@ def open_bank(out: Path, task: str, case: str, entropy: int, runs: int) -> Bank:
 
 
 def split_bank(out: Path, task: str, case: str) -> tuple[Bank, Bank]:
-    """Runs to learn on, and those of every third sky, start and age, to choose on."""
+    """Runs to learn on, and to choose on those of every third group of runs with one response: it
+    is of a sky, start and age, and of sensors and view, by which groups of one start differ."""
     bank = open_bank(out, task, case, LEARNING, get_sizes(task)[0])
     chosen = bank.group % 3 == 0
     return bank.take(~chosen), bank.take(chosen)
