@@ -79,6 +79,10 @@ SMALLER: dict[str, tuple[str | None, str]] = {
     r"python -m tools\.refits ": (None, "hours; tests/tools plays it small"),
     r"python -m tools\.task_cards ": (None, "hours; tests/tools plays it small"),
     r"python -m tools\.detector_cards ": (None, "over an hour; tests/tools plays it small"),
+    r"python -m tools\.against_reference ": (
+        None,
+        "a quarter of an hour; tests/tools plays its parts",
+    ),
     r"spoofgym bench --budget quick --detector cumulative-": (
         ELSEWHERE,
         "rows of a table: the audit before it has taken the default folder",
