@@ -328,16 +328,16 @@ def unit_commands(setup: TightlyCoupledSetup, onset: int, hats: int | None = Non
     repeat, decision_s = setup.repeat, setup.repeat * setup.interval_s
     attack, by_rate = bare(setup.attack, decision_s), setup.attack.control == "rate"
     axes, decisions = len(attack.action_names(setup.world)), setup.steps // repeat
-    shapes = hat_functions(decisions, hats) if hats and hats < decisions else None
-    each = decisions if shapes is None else shapes.shape[1]
-    count = axes * each
-    size = SMALL * np.eye(count).reshape(count, each, axes)
-    tried = np.concatenate([size, np.zeros((1, each, axes)), _some(each, axes)])
-    rates = tried if shapes is None else np.einsum("dq,rqa->rda", shapes, tried)
+    functions = hat_functions(decisions, hats) if hats and hats < decisions else None
+    inputs = decisions if functions is None else functions.shape[1]
+    count = axes * inputs
+    size = SMALL * np.eye(count).reshape(count, inputs, axes)
+    tried = np.concatenate([size, np.zeros((1, inputs, axes)), _some(inputs, axes)])
+    rates = tried if functions is None else np.einsum("dq,rqa->rda", functions, tried)
     found = _offsets(setup, attack, onset, rates)
     idle = found[:, :, count]
     unit = attack.unit_rates(setup.world)
-    offsets = (found[:, :, :count] - idle[:, :, None]) / (SMALL * np.tile(unit, each))
+    offsets = (found[:, :, :count] - idle[:, :, None]) / (SMALL * np.tile(unit, inputs))
     _check_linear(attack, unit, offsets, idle, found[:, :, count + 1 :], tried[count + 1 :])
     names = attack.action_names(setup.world)
     places = {"north": (1.0, 0.0), "east": (0.0, 1.0), "down": (0.0, 0.0)}
@@ -352,7 +352,7 @@ def unit_commands(setup: TightlyCoupledSetup, onset: int, hats: int | None = Non
         math.inf
         if by_rate and attack.kind != "offsets"
         else setup.attack.acceleration_limit_mps2 * decision_s,
-        shapes,
+        functions,
     )
 
 

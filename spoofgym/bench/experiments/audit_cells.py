@@ -244,7 +244,9 @@ class AuditCells(Experiment):
         else:
             few, entropy = size.floor_worlds, self.of.entropy
             bounds = DisplacementBounds(worlds.world, [group[0].player], entropy, floor_worlds=few)
-            yield Result(record=bounds.compute_lower_limit())
+            work = cells[0].work
+            floor = bounds.compute_lower_limit(lambda part: context.tick(work * part))
+            yield Result(record=floor)
 
     def _play_family(
         self, family: tasks.AttackFamily, group: Sequence[ScoredDetector], context: Context

@@ -131,8 +131,9 @@ class DisplacementBounds:
         if self.setup is None:
             return {"why": f"no limit is known for {self.world.setup.whose}"}
         try:
-            drawn: dict[str, Any] = {"worlds": self.floor_worlds, "entropy": self.entropy}
-            frontier = compute_frontier(self.setup, **drawn, tick=tick)
+            frontier = compute_frontier(
+                self.setup, worlds=self.floor_worlds, entropy=self.entropy, tick=tick
+            )
         except ValueError as error:
             return {"why": str(error)}
         return tabulate_lower_limits(frontier, self.rates, self.budget)
